@@ -29,16 +29,15 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review export -o dataset logs
   cruiser review export --format csv --topic 'chassis/*' -o tables logs
-  cruiser review export --format blf -o frames logs"""
+  cruiser review export --format candump -o frames logs"""
 DESCRIPTION: Final = (
     "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
     "topic, or their raw frames as candump log, ASC or BLF, one file a robot. Nothing that is there is "
     "overwritten. Exit code 3 if not all of a log could be read."
 )
 
-PARQUET, CSV = "parquet", "csv"
-_FRAME_FORMATS: Final = ("candump", "asc", "blf")
-FORMATS: Final = (PARQUET, CSV, *_FRAME_FORMATS)
+PARQUET: Final = "parquet"
+FRAMES: Final = ("candump", "asc", "blf")
 _SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")
 """Of a place on a network, as a path has it: ``s3:/bucket``. For a directory of that name there is ``./s3:``."""
 
@@ -47,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print what was written as JSON, an object a line")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="where it goes")
-    parser.add_argument("--format", choices=FORMATS, default=PARQUET, help=f"default {PARQUET}")
+    parser.add_argument("--format", choices=(PARQUET, "csv", *FRAMES), default=PARQUET, help=f"default {PARQUET}")
     parser.add_argument(
         "--topic",
         action="append",
@@ -123,20 +122,20 @@ def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
     from recorder.reading.rows import wants_of  # noqa: PLC0415
-    from recorder.review.raw_frames import FrameFormat, read_frames, write_frames  # noqa: PLC0415 - python-can takes a while
+    from recorder.review.raw_frames import read_frames, write_frames  # noqa: PLC0415 - python-can takes a while
 
     out: Path = arguments.out
     selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)
     try:
         out.mkdir(parents=True, exist_ok=True)
         frames = read_frames(asked.logs, selection, asked.faults, progress)
-        return write_frames(frames, out, FrameFormat[arguments.format.upper()])
+        return write_frames(frames, out, arguments.format)
     except OSError as error:
         raise CommandError(f"cannot write {plain(str(out))}: {error.strerror or error}") from error
 
 
 _EXPORTS: Final[dict[str, Callable[[argparse.Namespace, Asked, Progress], Sequence[Any]]]] = {
     PARQUET: _dataset,
-    CSV: _csv,
-    **dict.fromkeys(_FRAME_FORMATS, _frames),
+    "csv": _csv,
+    **dict.fromkeys(FRAMES, _frames),
 }

@@ -26,9 +26,8 @@ DESCRIPTION: Final = (
     "Answers SQL, as DuckDB speaks it, from logs or from a dataset that 'cruiser review export' has made. Each "
     "subject is a table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, "
     "log_time, publish_time, sequence, and the fields of the message. The table catalog has a row for each log of "
-    "directories, as 'cruiser review find' keeps it. The statement sees nothing but these "
-    "tables; with --allow-files it may read and write files with your own rights. Exit code 2 if it is wrong, 3 "
-    "if not all of a log could be read."
+    "directories, as 'cruiser review find' keeps it. The statement sees nothing but these tables. Exit code 2 if "
+    "it is wrong, 3 if not all of a log could be read."
 )
 
 SHOWN_MAX: Final = 1000
@@ -47,9 +46,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tables", action="store_true", help="list the tables and their columns instead")
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument("--csv", action="store_true", help="print CSV")
-    parser.add_argument(
-        "--allow-files", action="store_true", help="let the statement read and write files (COPY, read_csv, ...)"
-    )
     add_period(parser)
 
 
@@ -117,8 +113,7 @@ def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopp
         for one in source.tables:
             show(one, _columns(one), as_json=arguments.json)
         return
-    allowed: bool = arguments.allow_files
-    with query.answer(source, sql, stopped, may_use_files=allowed) as rows, query.told():
+    with query.answer(source, sql, stopped) as rows, query.told():
         if rows is None:
             return
         if arguments.csv:

@@ -226,7 +226,12 @@ MESSAGE_MAX: Final = 500
 
 _BESIDES: Final = ("LINE ", "Candidate functions:", "Please try installing")
 
-_WRONG_SQL: Final = (duckdb.ProgrammingError, duckdb.NotSupportedError, duckdb.DataError)
+_WRONG_SQL: Final = (
+    duckdb.PermissionException,
+    duckdb.ProgrammingError,
+    duckdb.NotSupportedError,
+    duckdb.DataError,
+)
 
 LOOK_S: Final = 0.1
 """Interval at which a stop is looked for while DuckDB is at work."""
@@ -240,7 +245,6 @@ def answer(
     sql: str,
     stopped: Callable[[], bool] = lambda: False,
     *,
-    may_use_files: bool = False,
     parameters: Mapping[str, Any] | None = None,
 ) -> Generator[pa.RecordBatchReader | None, None, None]:
     """The rows that a statement gives, as they come; None if it gives none.
@@ -266,10 +270,9 @@ def answer(
         try:
             with told():
                 connection.execute("SET TimeZone = 'UTC'")
-                _check(connection, sql, may_use_files=may_use_files)
+                _check(connection, sql)
                 source.declare(connection, _names_in(connection, sql), Path(scratch))
-                if not may_use_files:
-                    _shut_in(connection, [scratch, *source.directories])
+                _shut_in(connection, [scratch, *source.directories])
                 connection.execute("SET lock_configuration = true")
                 relation = run(partial(connection.sql, params=parameters), sql)
                 rows = None if relation is None else run(relation.to_arrow_reader, BATCH_ROWS)
@@ -300,8 +303,6 @@ def told() -> Generator[None, None, None]:
     """Turn an error of DuckDB into one line."""
     try:
         yield
-    except duckdb.PermissionException as error:
-        raise CommandError(f"{_one_line(str(error))} (--allow-files allows files)", ExitCode.USAGE) from None
     except duckdb.Error as error:
         code = ExitCode.USAGE if isinstance(error, _WRONG_SQL) else ExitCode.FAILURE
         raise CommandError(_one_line(str(error)), code) from None
@@ -323,11 +324,10 @@ def _configuration(scratch: str) -> dict[str, str | bool | int | float | list[st
     }
 
 
-def _check(connection: duckdb.DuckDBPyConnection, sql: str, *, may_use_files: bool) -> None:
+def _check(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
     """Refuse what is no SQL, or no question: DuckDB lets a statement write wherever it lets it read."""
-    is_select = [one.type is duckdb.StatementType.SELECT for one in connection.extract_statements(sql)]
-    if not may_use_files and not all(is_select):
-        raise CommandError("the statement is not a SELECT (--allow-files allows others)", ExitCode.USAGE)
+    if any(one.type is not duckdb.StatementType.SELECT for one in connection.extract_statements(sql)):
+        raise CommandError("the statement is not a SELECT", ExitCode.USAGE)
 
 
 def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> None:

@@ -1,17 +1,16 @@
 """Raw frames of logs in the order of time, sent and received, and files of them for the tools of CAN.
 
-Files are written by python-can, one a robot: candump log, ASC, BLF. Not every format holds everything: a candump
-log has no class of an error frame and no length of a remote frame, ASC neither the class nor the direction of an
-error frame. Times are to the microsecond; ASC and BLF name no time zone, and have UTC here.
+Files are written by python-can, one a robot: candump log, ASC, BLF. A candump log has no class of an error frame
+and no length of a remote frame, ASC neither class nor direction of an error frame. Times are to the microsecond;
+ASC and BLF name no time zone, and have UTC here.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from datetime import UTC, datetime
-from enum import Enum
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any, Final
@@ -110,29 +109,15 @@ def _logged(row: Row) -> LoggedFrame:
     return LoggedFrame(row.topic.robot, _SUBJECTS[row.topic.subject], frame)
 
 
-CHANNEL_MAX: Final = 255
-"""ASC and BLF number the buses from 1."""
-
-STARTED: Final = "cruiser review export"
-"""The first event of an ASC file."""
-
-
-class FrameFormat(Enum):
-    """A format; the value is the files' suffix."""
-
-    CANDUMP = "log"
-    ASC = "asc"
-    BLF = "blf"
-
-
-_WRITERS: Final[dict[FrameFormat, Callable[[Path], Any]]] = {
-    FrameFormat.CANDUMP: can.CanutilsLogWriter,
-    FrameFormat.ASC: can.ASCWriter,
-    FrameFormat.BLF: can.BLFWriter,
+WRITERS: Final = {
+    "candump": (can.CanutilsLogWriter, ".log"),
+    "asc": (can.ASCWriter, ".asc"),
+    "blf": (can.BLFWriter, ".blf"),
 }
+"""The writer of each form, and the end of its files' names."""
 
 
-class FramesOf(msgspec.Struct, frozen=True):
+class FramesOf(msgspec.Struct):
     """The file that was written for a robot.
 
     Attributes:
@@ -141,92 +126,65 @@ class FramesOf(msgspec.Struct, frozen=True):
 
     robot: str
     path: str
-    frames: int
-    late: int
+    frames: int = 0
+    late: int = 0
 
 
-def write_frames(frames: Iterable[LoggedFrame], directory: Path, form: FrameFormat) -> list[FramesOf]:
+def write_frames(frames: Iterable[LoggedFrame], directory: Path, form: str = "candump") -> list[FramesOf]:
     """Write frames in the order of time, each robot's to a file of its own.
 
     Raises:
         CommandError: one of the files is there already.
         OSError: the disk does not take one; nothing is left of any.
     """
-    files: dict[str, FrameFile] = {}
-    paths: dict[str, Path] = {}
+    files: dict[str, FramesOf] = {}
+    writers: dict[str, Any] = {}
+    newest_ns: dict[str, int] = {}
+    make, suffix = WRITERS[form]
     with staging(directory) as hidden:
-        with ExitStack() as writers:
+        with ExitStack() as opened:
             for logged in frames:
-                robot = logged.robot
+                robot, frame = logged.robot, logged.frame
                 if robot not in files:
-                    paths[robot] = new_path(directory, file_name(robot), f".{form.value}")
-                    files[robot] = FrameFile(hidden / paths[robot].name, form)
-                    writers.enter_context(files[robot].writer)
-                files[robot].write(logged)
-        for path in paths.values():
-            give_name(hidden / path.name, path)
-    return [FramesOf(robot, str(paths[robot]), file.frames, file.late) for robot, file in files.items()]
+                    path = new_path(directory, file_name(robot), suffix)
+                    files[robot] = FramesOf(robot, str(path))
+                    writers[robot] = opened.enter_context(make(hidden / path.name))
+                    if form == "asc":
+                        _begin(writers[robot], hidden / path.name, frame.time_ns)
+                file = files[robot]
+                file.frames += 1
+                file.late += frame.time_ns < newest_ns.get(robot, 0)
+                newest_ns[robot] = max(newest_ns.get(robot, 0), frame.time_ns)
+                channel = _name_of(frame.bus) if form == "candump" else _number_of(frame.bus)
+                writers[robot](_message(frame, channel, is_sent=logged.is_sent))
+        for file in files.values():
+            give_name(hidden / Path(file.path).name, Path(file.path))
+    return list(files.values())
 
 
-class FrameFile:
-    """One file of the frames of one robot.
+def _begin(writer: can.ASCWriter, path: Path, time_ns: int) -> None:
+    """Date the file by its frames, in UTC; python-can's writer has put today's date, in local time.
 
-    Attributes:
-        writer: python-can's, which ends the file.
-        channels: the number of each bus, from 0; the file's own begin at 1. ``can0`` is 0 if nobody else is.
-        frames: that were written...
-        late: ...and those of them that came after later ones.
+    All times count from the first event, which it tells to the millisecond, and 5 of them as .5: let it be a whole
+    second.
     """
+    writer.file.flush()
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    began = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
+    writer.file.seek(0)
+    writer.file.truncate()
+    writer.file.writelines([f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n", *lines[1:]])
+    writer.log_event("cruiser review export", time_ns // 1_000_000_000)
 
-    def __init__(self, path: Path, form: FrameFormat) -> None:
-        self._path = path
-        self._form = form
-        self.channels: dict[str, int] = {}
-        self.frames = self.late = 0
-        self._last_ns = 0
-        self.writer = _WRITERS[form](path)
 
-    def write(self, logged: LoggedFrame) -> None:
-        """The next frame."""
-        frame = logged.frame
-        if not self.frames:
-            self._begin(frame.time_ns)
-        self.frames += 1
-        self.late += frame.time_ns < self._last_ns
-        self._last_ns = max(self._last_ns, frame.time_ns)
-        channel = self._channel(frame.bus)
-        self.writer(_message(frame, channel, is_sent=logged.is_sent))
+def _name_of(bus: str) -> str:
+    return re.sub(r"\s", "_", bus) or "can"
 
-    def _begin(self, time_ns: int) -> None:
-        if self._form is FrameFormat.ASC:
-            self._date(time_ns)
-            # All times count from the file's beginning, which python-can tells to the millisecond, and 5 of them
-            # as .5: let it be a whole second.
-            self.writer.log_event(STARTED, time_ns // 1_000_000_000)
 
-    def _date(self, time_ns: int) -> None:
-        """The day of the frames, in UTC as in a BLF file; python-can's writer has put today's, in local time."""
-        file = self.writer.file
-        file.flush()
-        lines = self._path.read_text(encoding="utf-8").splitlines(keepends=True)
-        began = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC)
-        lines[0] = f"date {began:%a %b %d %H:%M:%S}.0 {began:%Y}\n"
-        file.seek(0)
-        file.truncate()
-        file.writelines(lines)
-
-    def _channel(self, bus: str) -> str | int:
-        if self._form is FrameFormat.CANDUMP:
-            return re.sub(r"\s", "_", bus) or "can"
-        number = self.channels.get(bus)
-        if number is None:
-            wanted = re.search(r"(\d{1,3})\Z", bus)
-            taken = set(self.channels.values())
-            number = int(wanted[1]) if wanted and int(wanted[1]) < CHANNEL_MAX else 0
-            while number in taken and len(taken) <= CHANNEL_MAX:
-                number = (number + 1) % (CHANNEL_MAX + 1)
-            self.channels[bus] = number
-        return number
+def _number_of(bus: str) -> int:
+    """The number of a bus, by its name; one without any is the first."""
+    found = re.search(r"\d{1,2}\Z", bus)
+    return int(found[0]) if found else 0
 
 
 def _message(frame: CanFrame, channel: str | int, *, is_sent: bool) -> can.Message:

@@ -59,7 +59,6 @@ def node(home: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def free_port() -> str:
-    """A port of the head that nobody has now."""
     with socket.create_server((HEAD, 0)) as server:
         return str(server.getsockname()[1])
 
@@ -83,7 +82,6 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def answers(host: str, port: int) -> bool:
-    """Somebody listens there."""
     with socket.socket() as client:
         return client.connect_ex((host, port)) == 0
 
@@ -114,7 +112,6 @@ print(*sorted(set(ray.get([where.remote() for _ in range(20)]))))
 
 
 def python(script: str, *words: object, timeout_s: float = WITHIN_S) -> subprocess.CompletedProcess[str]:
-    """A script in the environment of Ray."""
     command = [str(RAY / "python"), "-c", script, *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
 
@@ -139,7 +136,6 @@ def write_logs(directory: Path, count: int) -> None:
 
 
 def contents(dataset: Path) -> tuple[Any, dict[str, bytes]]:
-    """The manifest of a dataset, and its files."""
     manifest = read_manifest(dataset)
     assert manifest is not None
     return manifest, {part.path: (dataset / part.path).read_bytes() for part in manifest.files}
@@ -233,7 +229,6 @@ def ten(directory: Path) -> None:
 
 @pytest.fixture
 def mortal_node(cluster: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A third node, that a test may kill."""
     done = python("import sys, ray\nray.init(sys.argv[1])\nprint(ray.get_runtime_context().gcs_address)", cluster)
     home = tmp_path_factory.mktemp("m")
     with node(home, "--address", done.stdout.split()[-1], "--node-ip-address", MORTAL):

@@ -15,7 +15,6 @@ from recorder.review.export import values
 
 
 def batches_of(data: bytes, faults: Faults | None = None, selection: Selection | None = None) -> list[Batch]:
-    """The batches of a file's bytes."""
     stream = BytesIO(data)
     taken = Faults() if faults is None else faults
     reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
@@ -46,5 +45,4 @@ def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
 
 
 def fields_of(row: dict[str, Any]) -> dict[str, Any]:
-    """A row without what every table begins with."""
     return {name: value for name, value in row.items() if name not in {"log_time", "publish_time", "sequence"}}

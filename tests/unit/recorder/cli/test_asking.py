@@ -13,7 +13,6 @@ from tests.support.messages import WALL_NS
 
 
 def ask(*words: str) -> Asked:
-    """What these words ask about."""
     parser = argparse.ArgumentParser()
     add_logs(parser)
     add_period(parser)
@@ -22,7 +21,6 @@ def ask(*words: str) -> Asked:
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
-    """A log of one instant."""
     path = tmp_path / "log.mcap"
     path.write_bytes(small_log())
     return str(path)

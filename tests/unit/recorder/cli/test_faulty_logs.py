@@ -48,7 +48,6 @@ def bomb(chunks: int, size: int) -> bytes:
 
 
 def answered(capsys: pytest.CaptureFixture[str], question: str, path: Path) -> tuple[int, str]:
-    """The exit code, and all that is said."""
     try:
         code, ending = review(question, path, *WRITE.get(question, ())), ""
     except CommandError as error:

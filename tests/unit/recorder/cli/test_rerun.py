@@ -5,22 +5,18 @@ import re
 from functools import partial
 from pathlib import Path
 
-import msgspec
 import pytest
 
-from recorder.review.rerun import OTHER_RULES
 from schemas.command_line import CommandError, ExitCode
-from schemas.decisions import Journal
 from schemas.journal import rules_notice
 from schemas.messages import Variant
 from tests.support.commands import review
-from tests.support.rigs.day import RUN, Day, restful_day, under_rules_1
+from tests.support.rigs.day import RUN, Day, under_rules_1
 from tests.support.rigs.gateway import Operator
 
 
 @pytest.fixture(scope="module")
 def day() -> Day:
-    """Two seconds with 1 m/s."""
     day = Day(1, Variant.COARSE, ticks=0)
     day.rig.run(0.6)
     operator = Operator(day.rig)
@@ -32,7 +28,6 @@ def day() -> Day:
 
 @pytest.fixture(scope="module")
 def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its log."""
     path = tmp_path_factory.mktemp("logs") / "cruiser-1-20260102T030405Z.mcap"
     path.write_bytes(day.rig.log())
     return path
@@ -129,23 +124,3 @@ def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(
     assert capsys.readouterr().out.startswith(notice)
     assert run(path, "--json") == ExitCode.FAILURE
     assert json.loads(capsys.readouterr().out)["rules"] == 0
-
-
-def test_a_part_of_a_run_under_other_rules_has_no_place_to_begin(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What a gateway at rest is remembered by is another thing under each; so it says, and compares nothing."""
-    path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
-    first = 3000
-    path.write_bytes(restful_day(1, rounds=2).rig.log(journal=lambda one: _from(first, under_rules_1(one))))
-    assert run(path) == ExitCode.FAILURE
-    out = capsys.readouterr().out
-    assert out.startswith(f"cruiser-1, run {RUN}: {rules_notice(0)}\n")
-    assert OTHER_RULES in out
-    assert "different:" not in out
-
-
-def _from(first: int, journal: Journal) -> Journal:
-    """The journal, empty where it is before an input."""
-    kept = journal.first >= first
-    return journal if kept else msgspec.structs.replace(journal, count=0, inputs=b"\x90")

@@ -22,13 +22,11 @@ NAME = "cruiser-1/cruiser-1-20270115T080000Z.mcap"
 
 @pytest.fixture(autouse=True)
 def _cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Copies go into a directory of the test's."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
 
 
 @pytest.fixture
 def log() -> bytes:
-    """A log in which the deadman stops the robot."""
     return recorded(scenarios.stale_commands)
 
 
@@ -76,12 +74,10 @@ def test_logs_here_and_there_are_asked_together(
 
 
 def empty(objects: FakeObjects) -> None:
-    """Nothing is there."""
     objects.objects.clear()
 
 
 def gone(objects: FakeObjects) -> None:
-    """Nobody answers."""
     objects.is_gone = True
 
 

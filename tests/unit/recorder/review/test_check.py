@@ -68,14 +68,12 @@ LOG = own_log([gears(0, 5, 100), gears(5, 5, 200)], metadata=[("m", {"a": "b"})]
 
 
 def check(data: bytes) -> LogCheck:
-    """What is found in a file with this content."""
     stream = BytesIO(data)
     stream.seek(len(MAGIC))
     return check_stream(stream, len(data), "log.mcap")
 
 
 def said(found: LogCheck, about: About | None = None) -> list[str]:
-    """What the findings say."""
     return [one.what for one in found.findings if about in {None, one.about}]
 
 
@@ -140,8 +138,6 @@ def first_of(kind: type, edit: Callable[[records.McapRecord], None]) -> bytes:
 
 
 def setting(**values: object) -> Callable[[records.McapRecord], None]:
-    """Sets attributes of a record."""
-
     def edit(record: records.McapRecord) -> None:
         for name, value in values.items():
             assert getattr(record, name) != value
@@ -533,7 +529,6 @@ PERIOD_NS = 10 * MS
 
 
 def gear_count() -> AliveCount:
-    """The count of a frame of 10 ms."""
     return AliveCount(feedback_frames()[GEAR_FEEDBACK])
 
 
@@ -642,7 +637,6 @@ DRIVE_FEEDBACK = 0x18C4D3EF
 
 
 def frame(number: int, identifier: int = GEAR_FEEDBACK, data: bytes | None = None, bus: str = "can0") -> CanFrame:
-    """A frame of so many periods after the first."""
     made = can_frame(identifier, 10 * MS * number, feedback(number) if data is None else data)
     return msgspec.structs.replace(made, bus=bus)
 

@@ -204,12 +204,10 @@ ALL, ALL_SCHEMA = made(foreign_file(), "other.All")
 def channel(
     schema: bytes, name: str = "other.All", encoding: str = "protobuf", kind: str = "protobuf"
 ) -> LogChannel:
-    """Somebody's channel."""
     return LogChannel(1, "t", name, schema, schema_encoding=kind, message_encoding=encoding)
 
 
 def expected(message: Any) -> dict[str, Any]:  # noqa: ANN401 - protobuf makes the class at run time
-    """The row of a message, field by field."""
     row: dict[str, Any] = {}
     for field in ALL.DESCRIPTOR.fields:
         value = getattr(message, field.name)
@@ -227,7 +225,6 @@ def expected(message: Any) -> dict[str, Any]:  # noqa: ANN401 - protobuf makes t
 
 @st.composite
 def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
-    """Any message of that class."""
     message = ALL()
     for name, (_, values) in NUMBERS.items():
         if draw(st.booleans()):
@@ -248,7 +245,6 @@ def test_every_kind_of_field_of_others_is_read(drawn: list[Any]) -> None:
 
 
 def one_chunk(data: list[bytes]) -> bytes:
-    """The log of these messages."""
     return numbered_log([channel(ALL_SCHEMA)], [[(1, one) for one in data]])
 
 

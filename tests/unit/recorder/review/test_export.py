@@ -53,7 +53,6 @@ def export(
     wanted: ExportRange | None = None,
     run: Runner = HERE,
 ) -> Exported:
-    """Export files."""
     taken = Faults() if faults is None else faults
     found = find_logs(logs, taken, with_covered=True)
     done = export_dataset(found, out, wanted or ExportRange(), taken, run=run)
@@ -63,7 +62,6 @@ def export(
 
 
 def manifest_of(directory: Path) -> Manifest:
-    """The manifest, which is there."""
     found = read_manifest(directory)
     assert found is not None
     return found
@@ -78,7 +76,6 @@ def rows_by_topic(directory: Path) -> Counter[str]:
 
 
 def contents(directory: Path) -> dict[str, bytes]:
-    """All files."""
     return {str(path.relative_to(directory)): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
 
 

@@ -20,12 +20,10 @@ from tests.support.messages import gear, info, sample_of
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where a test's log goes."""
     return tmp_path / "log.mcap"
 
 
 def info_of(path: Path, data: bytes) -> LogInfo:
-    """What is read from a file with this content."""
     path.write_bytes(data)
     return read_info(path)
 

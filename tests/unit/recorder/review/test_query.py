@@ -21,7 +21,6 @@ from tests.unit.recorder.review.test_columns import ALL, ALL_SCHEMA, channel
 
 
 def logs_in(tmp_path: Path) -> list[Path]:
-    """Two robots; of the first two logs."""
     return [
         saved(tmp_path / "1.mcap", drive_log()),
         saved(tmp_path / "2.mcap", drive_log(first=20, count=10)),
@@ -30,7 +29,6 @@ def logs_in(tmp_path: Path) -> list[Path]:
 
 
 def over(logs: list[Path]) -> LogSource:
-    """The tables of logs."""
     faults = Faults()
     return LogSource(find_logs(logs, faults), Selection(), faults)
 
@@ -49,13 +47,11 @@ BOTH = (over, exported)
 
 @pytest.fixture(scope="module", params=BOTH)
 def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Source:
-    """Both kinds; nobody changes them."""
     made: Source = request.param(logs_in(tmp_path_factory.mktemp("logs")))
     return made
 
 
 def ask(source: Source, sql: str) -> list[dict[str, Any]]:
-    """The rows of an answer."""
     with answer(source, sql) as rows, told():
         return [] if rows is None else [row for batch in rows for row in objects(batch)]
 

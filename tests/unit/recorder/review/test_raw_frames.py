@@ -2,17 +2,17 @@
 
 import time
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 
 import can
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
 from recorder.review import raw_frames
-from recorder.review.raw_frames import FrameFile, FrameFormat, LoggedFrame, read_frames, write_frames
+from recorder.review.raw_frames import WRITERS, LoggedFrame, read_frames, write_frames
 from schemas import codec
 from schemas.messages import CanFrame, CanFrames
 from tests.support.drives import FRAMES, drive_log
@@ -21,7 +21,6 @@ from tests.support.messages import MS, WALL_NS, FakeSample, batch, feedback
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
-    """All frames of files."""
     faults = Faults()
     found = list(read_frames(find_logs(paths, faults), Selection(), faults))
     assert not faults, faults.told
@@ -70,7 +69,7 @@ def test_each_robot_has_a_file(tmp_path: Path) -> None:
     found = read(
         [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2", first=3))]
     )
-    done = write_frames([*found, found[0]], tmp_path, FrameFormat.CANDUMP)
+    done = write_frames([*found, found[0]], tmp_path)
     paths = {robot: tmp_path / f"{robot}.log" for robot in ("cruiser-1", "cruiser-2")}
     assert {one.robot: (Path(one.path), one.frames, one.late) for one in done} == {
         "cruiser-1": (paths["cruiser-1"], FRAMES + 1, 1),
@@ -82,8 +81,8 @@ def test_each_robot_has_a_file(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("form", FrameFormat)
-def test_frames_that_break_off_leave_no_file(tmp_path: Path, form: FrameFormat) -> None:
+@pytest.mark.parametrize("form", WRITERS)
+def test_frames_that_break_off_leave_no_file(tmp_path: Path, form: str) -> None:
     """Neither of the robot that was being written, nor of one before."""
 
     def frames() -> Iterator[LoggedFrame]:
@@ -126,6 +125,8 @@ CHANGES: list[dict[str, object]] = [
     {"identifier": 0x123, "is_extended": False},
     {"dlc": 0, "data": b""},
     {"bus": "can1", "dlc": 3, "data": b"\x01\x02\x03"},
+    {"bus": "a b\n"},
+    {"bus": ""},
     {"is_fd": True, "bitrate_switch": True, "error_state_indicator": True, "dlc": 64, "data": bytes(64)},
     {"is_fd": True, "dlc": 12, "data": bytes(12)},
     {"is_remote": True, "dlc": 4, "data": b""},
@@ -139,87 +140,44 @@ SENT = [
     )
     for number, change in enumerate(CHANGES)
 ]
-READERS = {
-    FrameFormat.CANDUMP: can.CanutilsLogReader,
-    FrameFormat.ASC: can.ASCReader,
-    FrameFormat.BLF: can.BLFReader,
-}
 
 
-def written(path: Path, form: FrameFormat, frames: list[LoggedFrame]) -> list[can.Message]:
-    """What python-can's reader makes of the file."""
-    file = FrameFile(path, form)
-    with file.writer:
-        for frame in frames:
-            file.write(frame)
-    how = {"relative_timestamp": False} if form is FrameFormat.ASC else {}
-    with READERS[form](path, **how) as reader:
-        return list(reader)
+READERS = {"candump": can.CanutilsLogReader, "asc": can.ASCReader, "blf": can.BLFReader}
 
 
-@pytest.mark.parametrize("form", FrameFormat)
-def test_frames_come_back_as_they_were(tmp_path: Path, form: FrameFormat) -> None:
-    """Identifier, data, kind, direction, bus and time, as far as the format says them."""
-    found = written(tmp_path / f"x.{form.value}", form, SENT)
-    assert len(found) == len(SENT)
-    for logged, message in zip(SENT, found, strict=True):
+@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("zone", ["UTC", "JST-9"])
+@pytest.mark.parametrize("offset_ms", [0, 5, 999])
+def test_frames_come_back_as_they_were(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, zone: str, offset_ms: int
+) -> None:
+    """Identifier, data, kind, direction, bus and time, wherever it is, as far as the form says them."""
+    sent = [
+        LoggedFrame(one.robot, one.is_sent, replace(one.frame, time_ns=one.frame.time_ns + offset_ms * MS))
+        for one in SENT
+    ]
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        [file] = write_frames(sent, tmp_path, form)
+        with READERS[form](file.path, **({"relative_timestamp": False} if form == "asc" else {})) as reader:
+            found = list(reader)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert len(found) == len(sent)
+    for logged, message in zip(sent, found, strict=True):
         frame = logged.frame
         assert abs(message.timestamp - frame.time_ns / 1e9) < 2e-6
         assert message.is_error_frame == frame.is_error
         if frame.is_error:
             continue
-        assert message.channel == (frame.bus if form is FrameFormat.CANDUMP else int(frame.bus[-1]))
+        # A bus may be called anything: a candump log has a frame a line, and words apart.
+        name = {"a b\n": "a_b_", "": "can"}.get(frame.bus, frame.bus)
+        assert message.channel == (name if form == "candump" else int(name == "can1"))
         assert message.is_rx != logged.is_sent
         assert (message.arbitration_id, message.is_extended_id) == (frame.identifier, frame.is_extended)
         assert (message.is_remote_frame, message.is_fd) == (frame.is_remote, frame.is_fd)
-        assert (message.bitrate_switch, message.error_state_indicator) == (
-            frame.bitrate_switch,
-            frame.error_state_indicator,
-        )
-        if frame.is_remote:
-            assert message.dlc == (0 if form is FrameFormat.CANDUMP else frame.dlc)
-        else:
-            assert bytes(message.data) == frame.data
-
-
-def test_every_bus_has_a_number_of_its_own(tmp_path: Path) -> None:
-    """That of its name if it is free; more buses than a format can tell share the last one."""
-    file = FrameFile(tmp_path / "x.blf", FrameFormat.BLF)
-    buses = ["can1", "front", "vcan1", "rear", "can300", *(f"bus-{number}x" for number in range(300))]
-    with file.writer:
-        for bus in buses:
-            file.write(LoggedFrame("r", False, msgspec.structs.replace(PLAIN, bus=bus)))  # noqa: FBT003
-    assert list(file.channels.items())[:5] == [("can1", 1), ("front", 0), ("vcan1", 2), ("rear", 3), ("can300", 4)]
-    assert file.frames == len(buses)
-
-
-def test_a_name_of_a_bus_breaks_no_line(tmp_path: Path) -> None:
-    """It may hold anything: a candump log has a frame a line, and words apart."""
-    frames = [LoggedFrame("r", False, msgspec.structs.replace(PLAIN, bus=bus)) for bus in ("a b\n", "")]  # noqa: FBT003
-    found = written(tmp_path / "x.log", FrameFormat.CANDUMP, frames)
-    assert [message.channel for message in found] == ["a_b_", "can"]
-
-
-@pytest.mark.parametrize("zone", ["UTC", "JST-9"])
-def test_asc_and_blf_are_dated_by_their_frames(tmp_path: Path, zone: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not by the day of the export; in UTC wherever that is."""
-    monkeypatch.setenv("TZ", zone)
-    time.tzset()
-    try:
-        written(tmp_path / "x.asc", FrameFormat.ASC, SENT)
-        [first, *_] = written(tmp_path / "x.blf", FrameFormat.BLF, SENT)
-    finally:
-        monkeypatch.undo()
-        time.tzset()
-    date = (tmp_path / "x.asc").read_text(encoding="utf-8").splitlines()[0]
-    began = datetime.strptime(f"{date} +0000", "date %a %b %d %H:%M:%S.%f %Y %z")
-    assert began.timestamp() == START_NS // 1_000_000_000 == int(first.timestamp)
-
-
-@pytest.mark.parametrize("offset_ms", [0, 5, 50, 123, 999])
-def test_times_of_an_asc_file_are_right_whenever_it_begins(tmp_path: Path, offset_ms: int) -> None:
-    """python-can writes 5 ms as .5, which its reader takes for half a second."""
-    time_ns = START_NS // 1_000_000_000 * 1_000_000_000 + offset_ms * 1_000_000
-    frame = LoggedFrame("r", False, msgspec.structs.replace(PLAIN, time_ns=time_ns))  # noqa: FBT003
-    [message] = written(tmp_path / "x.asc", FrameFormat.ASC, [frame])
-    assert abs(message.timestamp - time_ns / 1e9) < 2e-6
+        flags = frame.bitrate_switch, frame.error_state_indicator
+        assert (message.bitrate_switch, message.error_state_indicator) == flags
+        assert frame.is_remote or bytes(message.data) == frame.data

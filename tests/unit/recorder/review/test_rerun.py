@@ -14,7 +14,6 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Schema
 from mcap.writer import Writer
 
-from gateway import core
 from gateway.rerun import rerun
 from recorder.encoding.protobuf import compile_encoder
 from recorder.reading.logs import Faults, find_logs
@@ -45,13 +44,11 @@ from schemas.settings import CommandSettings, Settings
 from tests.support.logs import Log, small_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, info, sample_of
 from tests.support.rigs.day import Day
-from tests.support.rigs.gateway import Operator
 
 # The journals of a robot: given rows of a log, the parts of its runs.
 
 
 def topic(subject: str) -> Topic:
-    """A topic of a robot."""
     decode = typed_decoder(Journal) if subject == "journal" else None
     name, robot = f"fleet/cruiser-1/{subject}", "cruiser-1"
     return Topic(name, "", "protobuf", "protobuf", b"", None, robot, robot, subject, decode)
@@ -159,14 +156,12 @@ ENCODE_EVENT = compile_encoder(SafetyEvent)
 
 
 def event(number: int, text: str = "") -> bytes:
-    """The record of an event."""
     return ENCODE_EVENT(
         SafetyEvent(number, number, 7, Severity.INFO, EventKind.LEASE, Reason.NONE, operator="ann", text=text)
     )
 
 
 def key(number: int, subject: str = EVENT) -> Key:
-    """The key of one."""
     return subject, number, number
 
 
@@ -269,14 +264,12 @@ def day_log() -> bytes:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """The same as a file."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     path.write_bytes(day_log())
     return path
 
 
 def run_again(path: Path, again: Rerun = rerun) -> tuple[list[RerunResult], Faults]:
-    """What comes of the logs there."""
     faults = Faults()
     found: list[RerunResult] = []
     for task in rerun_tasks(find_logs([path], faults), TriedSettings(None, "", {}), faults):
@@ -295,17 +288,14 @@ def read(log: Path) -> tuple[list[LoggedMessage], list[Attachment]]:
         return list(reader.iter_messages(log_time_order=False)), list(reader.iter_attachments())
 
 
-def write(
-    path: Path, messages: Iterable[LoggedMessage], attachments: Iterable[Attachment], begins: int = 0
-) -> Path:
-    """A log of these."""
+def write(path: Path, messages: Iterable[LoggedMessage], attachments: Iterable[Attachment]) -> Path:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
         ids: dict[int, int] = {}
         for one in attachments:
             writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
-        for number, (schema, channel, message) in enumerate(messages, start=begins):
+        for number, (schema, channel, message) in enumerate(messages):
             assert schema is not None
             if channel.id not in ids:
                 schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -315,54 +305,6 @@ def write(
             writer.add_message(ids[channel.id], log_ns, message.data, message.publish_time, message.sequence)
         writer.finish()
     return path
-
-
-def split(log: Path, directory: Path) -> tuple[Path, Path]:
-    """The log in two files, by the half of its messages."""
-    directory.mkdir()
-    messages, attachments = read(log)
-    half = len(messages) // 2
-    first = write(directory / "cruiser-1-20260102T030405Z.mcap", messages[:half], attachments)
-    return first, write(directory / "cruiser-1-20260102T030410Z.mcap", messages[half:], attachments, half)
-
-
-def test_a_log_in_two_files_is_one_run(tmp_path: Path, log: Path) -> None:
-    """The second alone is the rest of it, and has no place to begin if the gateway was never at rest."""
-    first, second = split(log, tmp_path / "halves")
-    [result], _ = run_again(first.parent)
-    assert (result.detail, result.difference_count) == ("", 0)
-    [early], _ = run_again(first)
-    assert (0 < early.inputs < result.inputs, early.difference_count) == (True, 0)
-    [late], _ = run_again(second)
-    assert (late.first, late.same) == (early.inputs, {})
-    assert "are missing; it holds no checkpoint of this version, and the gateway was never at rest" in late.detail
-
-
-def test_a_file_alone_is_run_again_from_where_the_gateway_was_at_rest(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its beginning is lost with the file before, and all that was done later comes out the same."""
-    monkeypatch.setattr(core, "REST_PERIOD_NS", 1_000_000_000)
-    day = Day(1, Variant.COARSE, ticks=0)
-    day.rig.run(12)
-    operator = Operator(day.rig)
-    operator.engage()
-    operator.drive(1.0, 5.0, 2.0)
-    operator.ask("disengage")
-    day.rig.run(10)
-    operator.take_lease()
-    operator.engage()
-    operator.drive(-0.5, 0.0, 2.0)
-    day.rig.run(5)
-    log = tmp_path / "cruiser-1-20260102T030405Z.mcap"
-    log.write_bytes(day.rig.log())
-    [result], _ = run_again(split(log, tmp_path / "halves")[1])
-    assert result.first > 0
-    assert "are missing" in result.detail
-    assert result.difference_count == 0
-    assert result.same["safety/decision"] > 90
-    [whole], _ = run_again(log)
-    assert 1000 < result.same["can/{bus}/tx"] < whole.same["can/{bus}/tx"]
 
 
 def of_depot() -> bytes:
@@ -424,20 +366,7 @@ def test_what_was_changed_or_put_in_is_a_difference(
     assert result.differences[0].subject.rpartition("/")[2] == topic.rpartition("/")[2]
 
 
-@pytest.mark.parametrize("subject", ["can/{bus}/rx", "safety/state"])
-def test_a_subject_that_is_not_in_the_log_is_told_and_no_difference(
-    tmp_path: Path, log: Path, subject: str
-) -> None:
-    """A log need not hold the received frames; whoever takes all states out of one is told of."""
-    messages, attachments = read(log)
-    kept = [one for one in messages if not one[1].topic.endswith(subject.format(bus="can0"))]
-    [result], _ = run_again(write(tmp_path / "fewer.mcap", kept, attachments))
-    assert (list(result.unrecorded), result.difference_count) == ([subject], 0)
-    assert result.unrecorded[subject] > 100
-
-
 def said_journal(run: int, inputs: bytes, time_ns: int) -> FakeSample:
-    """A journal of one message."""
     return sample_of(Journal(time_ns, 0, run=run, first=0, count=1, inputs=inputs))  # type: ignore[return-value]
 
 

@@ -13,16 +13,12 @@ from schemas.command_line import CommandError, ExitCode
 
 
 class TaskError(Exception):
-    """As Ray wraps what a task raises."""
-
     def __init__(self, cause: Exception) -> None:
         super().__init__(f"many lines about {cause!r}")
         self.cause = cause
 
 
 class FakeRay:
-    """Does each task at once, or loses it."""
-
     exceptions = SimpleNamespace(RayTaskError=TaskError)
 
     def __init__(self) -> None:

@@ -84,12 +84,10 @@ def verified(
 
 
 def faults_of(report: RobotProofReport) -> set[ProofFault]:
-    """The kinds of what is wrong."""
     return {one.fault for one in report.findings}
 
 
 def words_of(report: RobotProofReport) -> str:
-    """What is wrong, for people."""
     return "\n".join(one.what for one in report.findings)
 
 
@@ -104,12 +102,10 @@ SIGNERS = {
 
 
 def forged(change: Callable[[bytes], bytes]) -> Callable[[Path], object]:
-    """Another signature beside the log."""
     return lambda log: (log.parent / BESIDE).write_bytes(change((log.parent / BESIDE).read_bytes()))
 
 
 def is_pipe(log: Path) -> None:
-    """A signature that is no file."""
     (log.parent / BESIDE).unlink()
     os.mkfifo(log.parent / BESIDE)
 
@@ -170,13 +166,10 @@ Story = Callable[[SignedRun, Party], object]
 
 
 def proof_for(verb: str, operator: str = "ann", robot: str = ROBOT, payload: bytes = b"\x80") -> bytes:
-    """Ann's proof, for something else."""
     return ANN.prove(keys.command("fleet", robot, operator, verb), BY_VERB[verb].encoding, payload, b"challeng")
 
 
 def engaged(by: Party = ANN, **how: Any) -> Story:  # noqa: ANN401 - of the request
-    """A request to engage is accepted."""
-
     def story(run: SignedRun, _: Party) -> None:
         run.show(chain_text(by.chain))
         run.ask("engage", by, **how)
@@ -194,12 +187,10 @@ def granted(**said: Any) -> Story:  # noqa: ANN401 - fields of a grant
 
 
 def allowed(**said: Any) -> Story:  # noqa: ANN401 - fields of the credentials
-    """More is allowed than the grant says."""
     return engaged(credentials=credentials_of(ANN, **said))
 
 
 def junk(run: SignedRun, ann: Party) -> None:
-    """What is no journal, whoever made it."""
     run.waiting += [(1, 1, 1, 2, 3, 4, 5, 6, 7, 8), (1, 1, 1, "engage", "ann", b"", 0, "", b"", []), (1,) * 10]
     run.ask("engage", ann, attachment=os.urandom(89))
 
@@ -376,12 +367,10 @@ class Rotated:
 
     @property
     def place(self) -> int:
-        """That of the rotation among the samples."""
         return next(n for n, one in enumerate(self.run.samples) if getattr(one, "text", "") == self.text)
 
     @property
     def before(self) -> list[Message]:
-        """The samples of before the rotation."""
         return self.run.samples[: self.place]
 
 
@@ -390,7 +379,6 @@ DRIVEN: tuple[Message, ...] = tuple(ROTATED.run.samples)
 
 
 def split(samples: Sequence[Message], *places: int) -> list[Sequence[Message]]:
-    """The samples, cut before these places."""
     begins = [0, *places, len(samples)]
     return [samples[begin:end] for begin, end in pairwise(begins) if begin < end]
 
@@ -455,7 +443,6 @@ def test_a_log_under_an_authority_that_was_not_given_says_so(
 
 
 def rotation_of_a_thief(run: SignedRun, _: Fleet) -> None:
-    """The standby did not sign it."""
     run.show(Party().rotate(9, Party("thief"), Party()).text())
 
 
@@ -598,7 +585,6 @@ def test_no_part_of_an_honest_log_is_said_to_be_forged(spans: tuple[int, int, in
 
 
 def authority_file(directory: Path, fleet: Fleet = FLEET) -> Path:
-    """The fleet's authority.json."""
     said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
     return saved(directory / "authority.json", json.dumps(said).encode())
 

@@ -59,7 +59,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A second with 1 m/s, and nobody who goes on."""
     day = Day(1, Variant.COARSE, ticks=0)
     day.rig.run(0.6)
     operator = Operator(day.rig)
@@ -72,7 +71,6 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run_of(log: Path, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if) -> WhatIfResult:
-    """What comes of the one run in a log."""
     faults = Faults()
     [task] = rerun_tasks(find_logs([log], faults), TriedSettings(None, "", {}), faults)
     player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
@@ -150,8 +148,6 @@ def test_each_stop_has_one_counterpart_at_most(stops: list[StopMade], others: li
 
 
 def result_of(log: Path, messages: Callable[[bool], list[Message]]) -> WhatIfResult:
-    """What is made of two runs that say these."""
-
     def both(_settings: Settings, _other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
         for _ in journals:
             pass

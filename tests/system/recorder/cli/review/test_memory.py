@@ -33,7 +33,6 @@ finally:
 
 
 def zeros(_number: int) -> bytes:
-    """No records."""
     return bytes(UNPACKED_MAX)
 
 
@@ -45,7 +44,6 @@ def tiny(_number: int) -> bytes:
 
 
 def channels(_number: int) -> bytes:
-    """The same channel, again and again."""
     record = RECORD_HEADER.pack(Opcode.CHANNEL, 16) + struct.pack("<HHIII", 999, 0, 0, 0, 0)
     return record * (UNPACKED_MAX // len(record))
 

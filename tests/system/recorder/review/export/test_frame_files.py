@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.review.raw_frames import FrameFile, FrameFormat, LoggedFrame
+from recorder.review.raw_frames import LoggedFrame, write_frames
 from tests.support.messages import can_frame
 
 FRAMES = (
@@ -19,13 +19,10 @@ FRAMES = (
 @pytest.mark.skipif(shutil.which("log2asc") is None, reason="no log2asc is here (Debian: can-utils)")
 def test_can_utils_read_the_candump_log(tmp_path: Path) -> None:
     """log2asc turns it into ASC, frame by frame."""
-    path = tmp_path / "x.log"
-    file = FrameFile(path, FrameFormat.CANDUMP)
-    with file.writer:
-        for number, frame in enumerate(FRAMES):
-            file.write(LoggedFrame("cruiser-1", number % 2 == 1, frame))
+    frames = [LoggedFrame("cruiser-1", number % 2 == 1, frame) for number, frame in enumerate(FRAMES)]
+    [file] = write_frames(frames, tmp_path)
     out = subprocess.run(
-        ["log2asc", "-I", str(path), "can0"],  # noqa: S607 - wherever the system has it
+        ["log2asc", "-I", file.path, "can0"],  # noqa: S607 - wherever the system has it
         capture_output=True,
         text=True,
         check=True,

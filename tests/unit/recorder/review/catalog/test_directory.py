@@ -38,13 +38,11 @@ def contents() -> tuple[bytes, ...]:
 
 
 def put(path: Path, data: bytes) -> None:
-    """Write a file, later than any before."""
     saved(path, data)
     touch(path)
 
 
 def touch(path: Path) -> None:
-    """Give a file another time."""
     time_ns = next(TIMES)
     os.utime(path, ns=(time_ns, time_ns))
 
@@ -57,7 +55,6 @@ def refreshed(path: Path, *, kept: Path | None = None, faults: Faults | None = N
 
 
 def rows(path: Path, *, kept: Path | None = None) -> list[CatalogRow]:
-    """Its rows."""
     return to_rows(refreshed(path, kept=kept).table)
 
 
@@ -203,19 +200,16 @@ def test_only_what_is_new_or_has_changed_is_opened(tmp_path: Path) -> None:
 
 
 def flipped(path: Path) -> None:
-    """The beginning of it is wrong."""
     data = path.read_bytes()
     path.write_bytes(data[:4] + bytes(byte ^ 0x10 for byte in data[4:200]) + data[200:])
 
 
 def twice(path: Path) -> None:
-    """Each log twice."""
     table = pq.read_table(path)
     pq.write_table(pa.concat_tables([table, table]), path)
 
 
 def fifo(path: Path) -> None:
-    """It would be waited for."""
     path.unlink()
     os.mkfifo(path)
 

@@ -36,13 +36,11 @@ def store(tmp_path: Path) -> FakeObjects:
 
 
 def files(catalog: PlaceCatalog) -> dict[str, int]:
-    """The messages of each log, by its name."""
     return dict(zip(*(catalog.table.column(name).to_pylist() for name in ("file", "messages")), strict=True))
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path) -> LogCache:
-    """Where copies go."""
     CACHES[:] = [LogCache(tmp_path / "cache", 10**9)]
     return CACHES[0]
 
@@ -59,7 +57,6 @@ def brought_up(store: FakeObjects) -> tuple[PlaceCatalog, Faults]:
 
 
 def logs_read(store: FakeObjects) -> set[str]:
-    """The logs of which anything was asked for."""
     return {name for name, _, _ in store.ranges if name.endswith(".mcap")}
 
 
