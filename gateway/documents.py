@@ -104,17 +104,17 @@ BUS_RULES: Final = (
     (
         "the gear changes",
         "from or to neutral, with the parking request in this burst and in the one before",
-        ".py::test_the_gear_changes_through_neutral_behind_the_parking_brake",
+        ".py::test_what_may_follow_what",
     ),
     (
         "the parking request ends",
         "in reverse or drive, at zero speed; in a stop once after an engagement, for a brake that does not hold",
-        ".py::test_the_parking_brake_is_released_in_gear_at_zero_speed_and_not_in_a_stop",
+        ".py::test_what_may_follow_what",
     ),
     (
         f"after {gate.FORGET_NS // 1_000_000} ms without a burst, or silence on purpose",
         "the parking request; a stop may begin released, and with a speed",
-        ".py::test_out_of_silence_only_a_stop_begins_with_a_speed",
+        ".py::test_what_may_follow_what",
     ),
     (
         "a stop in place",

@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -232,6 +232,7 @@ def _ask(
         safety if isinstance(safety, SafetyState) else None,
         state if isinstance(state, RobotState) else None,
         ahead_s,
+        _clock_moved_s(health, runs) if isinstance(health, GatewayHealth) else 0.0,
         [recorders[name] for name in sorted(recorders)],
         _settings_of(runs),
     )
@@ -256,6 +257,14 @@ def _settings_of(runs: Mapping[int, GatewayInfo]) -> Settings | None:
     with suppress(CommandError):  # It may be of another version.
         return merge(TomlSource("gateway/info", info.configuration, is_recorded=True), {}, {})
     return None
+
+
+def _clock_moved_s(health: GatewayHealth, runs: Collection[int]) -> float:
+    """So far the robot's clock was set since its gateway started; zero where that is not known of just one."""
+    if len(runs) != 1:
+        return 0.0
+    (started_ns,) = runs
+    return (health.time_ns - started_ns) / 1e9 - health.uptime_s
 
 
 def settings_to_ask(settings: Settings) -> ZenohSettings:

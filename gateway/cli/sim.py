@@ -168,7 +168,7 @@ def _time_of_life(clock: SimClock, chassis: VirtualChassis, summary: SimSummary)
 EXAMPLE: Final = """\
   cruiser sim                                     a coarse chassis on 127.0.0.1:29536
   cruiser sim --variant fine --fault "3s bumper front on" --fault "5s silence Auto_GearFeedBack for 2s"
-  cruiser sim --fault "slope 8" --fault "payload 100" --stop-mode coasts
+  cruiser sim --slope 8 --fault "payload 100" --stop-mode coasts
   cruiser sim --interface socketcan --channel vcan0
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536      puts it on Zenoh"""
 
@@ -201,6 +201,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="send the feedback N times as often as the DBC says, to load a bus: 11.9 gives 7,500 frames/s",
     )
     parser.add_argument(
+        "--slope", type=_slope, default=0.0, metavar="DEG", help="stand on a slope, nose up positive (default 0)"
+    )
+    parser.add_argument(
         "--stop-mode",
         choices=[mode.value for mode in StopMode],
         default=NOMINAL.stop_mode.value,
@@ -225,7 +228,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with _bus(settings.can) if attached else _server(settings.sim.listen) as (link, place):
         clock = SimClock()
         now_ns = clock.monotonic_ns()
-        conditions = Conditions(stop_mode=StopMode(arguments.stop_mode))
+        conditions = Conditions(slope_deg=arguments.slope, stop_mode=StopMode(arguments.stop_mode))
         chassis = VirtualChassis(
             CHASSIS, variant, now_ns, rate_multiplier=arguments.rate_multiplier, conditions=conditions
         )
@@ -270,6 +273,13 @@ def _scheduled(text: str) -> FaultLine:
     if isinstance(fault, FaultTextError):
         raise CommandError(f"--fault {text!r}: {fault.reason}", ExitCode.USAGE)
     return fault
+
+
+def _slope(text: str) -> float:
+    line = parse(f"slope {text}")
+    if isinstance(line, FaultTextError):
+        raise argparse.ArgumentTypeError(line.reason)
+    return float(text)
 
 
 def _rate_multiplier(text: str) -> float:

@@ -393,6 +393,11 @@ def _clock_differs(facts: Facts) -> Iterable[Detail]:
     return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {_way(ahead_s)}")
 
 
+def _clock_set_back(facts: Facts) -> Iterable[Detail]:
+    back_s = -facts.zenoh.clock_moved_s
+    return _found(back_s > CLOCK_MAX_S, f"by {back_s:.0f} s")
+
+
 def _way(ahead_s: float) -> str:
     return "ahead" if ahead_s > 0 else "behind"
 
@@ -619,6 +624,13 @@ CHECKS: Final = (
         "the clock is behind",
         "set it: 'timedatectl set-time', or a time server; look at its battery",
         _clock_behind,
+    ),
+    Check(
+        "clock_set_back",
+        "the robot's clock was set back since its gateway started",
+        "let a time server keep it: logs have the times in between twice",
+        _clock_set_back,
+        is_note=True,
     ),
     Check(
         "clock_unsynchronised",

@@ -57,6 +57,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
         why_not: why nothing is connected there; empty if something is.
         is_blind: it was asked with the robot's own certificate, which sees no telemetry.
         health, safety, state: the newest of the robot; None if there was none.
+        clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
         settings: those of the one gateway that answers; None if they are not known.
     """
 
@@ -69,6 +70,7 @@ class ZenohReport(msgspec.Struct, frozen=True):
     safety: SafetyState | None = None
     state: RobotState | None = None
     ahead_s: float = 0.0
+    clock_moved_s: float = 0.0
     recorders: list[RecorderHealth] = []
     settings: Settings | None = None
 

@@ -246,22 +246,19 @@ class NoteClearer:
     def __init__(self, note: StopNote) -> None:
         self._note = note
         self._was_latched = False
-        self._thread: threading.Thread | None = None
+        self._aside: Aside[bool] = Aside("note-clearer", self._clear, CLEAR_TIMEOUT_S)
 
     def follow(self, *, is_latched: bool) -> None:
         """Each tick: whether a stop by the guard is latched."""
         if self._was_latched and not is_latched:
-            # Seldom, and only while the robot is told nothing: starting a thread takes a tenth of a millisecond.
-            self._thread = threading.Thread(target=self._clear, name="note-clearer", daemon=True)
-            self._thread.start()
+            self._aside.add(True)  # noqa: FBT003 - any value
         self._was_latched = is_latched
 
     def close(self) -> None:
         """Wait until the note is removed, or until the disk has had its time."""
-        if self._thread is not None:
-            self._thread.join(CLEAR_TIMEOUT_S)
+        self._aside.close()
 
-    def _clear(self) -> None:
+    def _clear(self, _is_reset: bool) -> None:  # noqa: FBT001 - any value
         try:
             self._note.clear()
         except OSError as error:

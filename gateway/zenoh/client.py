@@ -35,6 +35,7 @@ from schemas.zenoh_session import (
     is_loopback,
     join,
     open_configured,
+    reason,
 )
 
 FURTHER_S: Final = 0.2
@@ -131,6 +132,22 @@ def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuer
     return question
 
 
+def ask_all(
+    session: zenoh.Session,
+    key: str,
+    question: PendingQuery,
+    timeout_s: float,
+    **more: Any,  # noqa: ANN401 - as of Session.get
+) -> PendingQuery:
+    """Ask all who answer for a key; the replies are the question's."""
+    every, none = zenoh.QueryTarget.ALL, zenoh.ConsolidationMode.NONE
+    try:
+        session.get(key, question.handler, target=every, consolidation=none, timeout=timeout_s, **more)
+    except zenoh.ZError as error:
+        raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+    return question
+
+
 def received_of(sample: zenoh.Sample) -> Received:
     """A sample, out of Zenoh's hands."""
     attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
@@ -204,15 +221,7 @@ class RobotListener(SessionOwner):
 
     def ask_info(self, timeout_s: float) -> PendingQuery:
         """Ask for ``gateway/info``: each gateway replies, also where several have one name."""
-        question = PendingQuery()
-        self._session.get(
-            self._info,
-            question.handler,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=timeout_s,
-        )
-        return question
+        return ask_all(self._session, self._info, PendingQuery(), timeout_s)
 
     def drain(self) -> Iterator[Arrival]:
         """Yield the arrivals since the last call, a bounded number: more may come meanwhile."""

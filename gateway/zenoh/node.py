@@ -501,27 +501,20 @@ def _declare_publisher(
     session: zenoh.Session, key: str, subject: Subject
 ) -> zenoh.Publisher | ext.AdvancedPublisher:
     qos: Qos = subject.qos
-    priority: zenoh.Priority = getattr(zenoh.Priority, qos.priority.value)
+    how: dict[str, Any] = {
+        "encoding": subject.encoding,
+        "congestion_control": zenoh.CongestionControl.DROP,
+        "priority": getattr(zenoh.Priority, qos.priority.value),
+        "express": qos.express,
+    }
     if not qos.history:
-        return session.declare_publisher(
-            key,
-            encoding=subject.encoding,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority,
-            express=qos.express,
-        )
+        return session.declare_publisher(key, **how)
+    misses = ext.MissDetectionConfig(heartbeat=MISS_HEARTBEAT_S, sporadic_heartbeat=None)
     return ext.declare_advanced_publisher(
         session,
         key,
-        encoding=subject.encoding,
-        congestion_control=zenoh.CongestionControl.DROP,
-        priority=priority,
-        express=qos.express,
         cache=ext.CacheConfig(qos.history),
-        sample_miss_detection=(
-            ext.MissDetectionConfig(heartbeat=MISS_HEARTBEAT_S, sporadic_heartbeat=None)
-            if qos.history > 1
-            else None
-        ),
+        sample_miss_detection=misses if qos.history > 1 else None,
         publisher_detection=True,
+        **how,
     )

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator
-from typing import Any, Final, Protocol, Self
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Protocol, Self, TypeVar
 
 import zenoh
 from zenoh import ext
 
 from gateway.telemetry.samples import Missed, Received
-from gateway.zenoh.client import EVENTS_OF_BEFORE, PendingQuery, SessionOwner, call_roll, receive
+from gateway.zenoh.client import EVENTS_OF_BEFORE, PendingQuery, SessionOwner, ask_all, call_roll, receive
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME, BY_VERB, COMMAND_QOS
-from schemas.zenoh_session import close_session, join, reason
+from schemas.zenoh_session import close_session, join
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +40,19 @@ class Prover(Protocol):
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Return True if it is the asked robot's reply to the request that had this attachment."""
         ...
+
+
+Owner = TypeVar("Owner", bound=SessionOwner)
+
+
+def _opened(settings: Settings, make: Callable[[zenoh.Session], Owner]) -> Owner:
+    """Make the owner of a session to where the settings say."""
+    session = join(settings.zenoh)
+    try:
+        return make(session)
+    except ValueError as error:
+        close_session(session)
+        raise CommandError(str(error), ExitCode.USAGE) from error
 
 
 class CommandPort(SessionOwner):
@@ -66,12 +79,7 @@ class CommandPort(SessionOwner):
     @classmethod
     def open(cls, settings: Settings, robot: str, operator: str) -> Self:
         """Open a session to where the settings say."""
-        session = join(settings.zenoh)
-        try:
-            return cls(session, settings.robot.root, robot, operator)
-        except ValueError as error:
-            close_session(session)
-            raise CommandError(str(error), ExitCode.USAGE) from error
+        return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator))
 
     def reaches(self) -> bool:
         """Return True if somebody answers this robot's commands. For a port to all robots Zenoh cannot know."""
@@ -112,21 +120,8 @@ class CommandPort(SessionOwner):
         self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float
     ) -> PendingQuery:
         """Ask under a key of one's own; the replies are the question's."""
-        try:
-            self._session.get(
-                key,
-                handler=question.handler,
-                payload=payload,
-                encoding=encoding,
-                attachment=attachment or None,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=timeout_s,
-                **self._asking_qos,
-            )
-        except zenoh.ZError as error:
-            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return question
+        more = {"payload": payload, "encoding": encoding, "attachment": attachment or None, **self._asking_qos}
+        return ask_all(self._session, key, question, timeout_s, **more)
 
     def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
         """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come."""
@@ -163,12 +158,7 @@ class SafetyListener(SessionOwner):
     @classmethod
     def open(cls, settings: Settings, robot: str) -> Self:
         """Open a session to where the settings say, and listen."""
-        session = join(settings.zenoh)
-        try:
-            return cls(session, settings.robot.root, robot)
-        except ValueError as error:
-            close_session(session)
-            raise CommandError(str(error), ExitCode.USAGE) from error
+        return _opened(settings, lambda session: cls(session, settings.robot.root, robot))
 
     def drain(self) -> Iterator[Received | Missed]:
         """Return the samples that have arrived since the last call; none once it is closed."""
@@ -207,24 +197,9 @@ class StatementPort(SessionOwner):
         """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes."""
         deadline_s = time.monotonic() + timeout_s
         while (left_s := deadline_s - time.monotonic()) > 0:
-            if replies := self._ask(robot, text, question, left_s).wait(left_s):
+            more = {"payload": text, "attachment": question, "congestion_control": zenoh.CongestionControl.DROP}
+            asked = ask_all(self._session, keys.authority(self._root, robot), PendingQuery(), left_s, **more)
+            if replies := asked.wait(left_s):
                 return replies[0]
             time.sleep(AGAIN_S)
         return None
-
-    def _ask(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> PendingQuery:
-        pending = PendingQuery()
-        try:
-            self._session.get(
-                keys.authority(self._root, robot),
-                pending.handler,
-                payload=text,
-                attachment=question,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                congestion_control=zenoh.CongestionControl.DROP,
-                timeout=timeout_s,
-            )
-        except zenoh.ZError as error:
-            raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
-        return pending

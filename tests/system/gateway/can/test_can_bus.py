@@ -1,6 +1,7 @@
-"""The CAN bus through python-can."""
+"""The CAN bus by a socketcand server, and the gateways that claim one."""
 
 import fcntl
+import os
 import select
 import socket
 import struct
@@ -18,7 +19,7 @@ from gateway.can.can_bus import (
     BusLost,
     CanBus,
 )
-from gateway.can.open_bus import ReconnectingBus, open_bus
+from gateway.can.open_bus import BusClaim, ReconnectingBus, count_claims, open_bus
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.settings import CanSettings
 from tests.support.waiting import DEADLINE_S, wait_until
@@ -238,3 +239,18 @@ def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_comma
     assert deaf.end == "reset"
     assert 0 < heard < taken
     bus.close()
+
+
+def test_gateways_of_one_bus_are_counted_while_they_run() -> None:
+    """The first is told of nobody, those after it are; each goes with its process, and no other bus counts."""
+    bus = CanSettings(channel=f"test{os.getpid()}")
+    assert count_claims(bus) == 0
+    with BusClaim(bus) as first:
+        assert not first.is_shared
+        with BusClaim(bus) as second, BusClaim(bus) as third:
+            assert second.is_shared
+            assert third.is_shared
+            assert count_claims(bus) == 3
+        assert count_claims(bus) == 1
+        assert count_claims(CanSettings(channel="another")) == 0
+    assert count_claims(bus) == 0

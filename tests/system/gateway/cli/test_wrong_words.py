@@ -35,7 +35,13 @@ WRONG: list[tuple[str, ExitCode, str]] = [
         (f"sim {flag} {value}", USAGE, flag)
         for flag, value in (
             *(("--rate-multiplier", "1000"), ("--rate-multiplier", "nan"), ("--rate-multiplier", "x")),
-            *(("--seconds", "0"), ("--seconds", "x"), ("--variant", "medium"), ("--stop-mode", "x")),
+            *(
+                ("--seconds", "0"),
+                ("--seconds", "x"),
+                ("--variant", "medium"),
+                ("--stop-mode", "x"),
+                ("--slope", "-31"),
+            ),
         )
     ],
     ("fault --sim a..b:9 clear", UNREACHABLE, "cruiser fault: no virtual chassis at a..b:9: "),

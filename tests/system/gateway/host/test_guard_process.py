@@ -1,10 +1,12 @@
-"""The guard as a process of its own, over a served bus, with a gateway that is killed, stopped and hung."""
+"""The guard as a process, over a served bus, with a gateway that is killed, stopped and hung; and its memory."""
 
+import errno
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,8 @@ import pytest
 
 from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.port import AT_REST, Actuation
-from gateway.guard.stopper import Cause, StopOutcome
+from gateway.guard.stopper import Beat, Cause, StopOutcome
+from gateway.host.guard_main import Heartbeat
 from gateway.host.guard_process import GuardProcess, NoGuard, start_guard
 from gateway.host.notes import StopNote
 from schemas.messages import Mode, Variant
@@ -226,3 +229,30 @@ def test_a_guard_that_does_not_start_is_no_guard(monkeypatch: pytest.MonkeyPatch
     link = start_guard(Settings())
     assert isinstance(link, NoGuard)
     assert why in link.why_not
+
+
+@pytest.fixture
+def heartbeat() -> Iterator[Heartbeat]:
+    memory = Heartbeat.create()
+    yield memory
+    memory.close()
+
+
+RESIZE = "import os, sys; os.truncate(sys.argv[1], int(sys.argv[2]))"
+
+
+@pytest.mark.parametrize("size", [0, 1, 1 << 20])
+def test_no_other_process_can_resize_it(heartbeat: Heartbeat, size: int) -> None:
+    """A process of the same user that opens it through /proc is refused; both sides go on reading and writing."""
+    theirs = Heartbeat(os.dup(heartbeat.descriptor))
+    before = os.fstat(heartbeat.descriptor).st_size
+    path = f"/proc/{os.getpid()}/fd/{heartbeat.descriptor}"
+    attacker = subprocess.run(
+        [sys.executable, "-c", RESIZE, path, str(size)], capture_output=True, text=True, check=False
+    )
+    # Looked at first: were it resized, touching the memory would end this process.
+    assert os.fstat(heartbeat.descriptor).st_size == before
+    assert f"[Errno {errno.EPERM}]" in attacker.stderr
+    heartbeat.write_beat(Beat(1))
+    assert theirs.read_beat() == Beat(1)
+    theirs.close()

@@ -145,6 +145,7 @@ CASES: dict[str, Facts] = {
     ),
     "blocked": safety(blocked_by=[Reason.SELF_TEST]),
     "clock_behind": replace(WELL, now_s=0.0),
+    "clock_set_back": zenoh(clock_moved_s=-3600.2),
     "clock_unsynchronised": replace(WELL, is_synchronised=False),
     "clock_differs": zenoh(ahead_s=-3.25),
     "credentials_missing": replace(WELL, credentials=[]),
