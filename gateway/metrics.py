@@ -34,9 +34,7 @@ from schemas.messages import SEQUENCE_MAX, FrameHealth, GatewayHealth, Message, 
 from schemas.recording import RecorderHealth
 from schemas.subjects import BY_TYPE
 
-LABELS_MAX: Final = 80
-"""Values of one label that one message can bring; the rest is counted as OTHER."""
-
+LABELS_MAX: Final = 80  # values of one label that one message can bring; the rest is counted as OTHER
 LABEL_LENGTH_MAX: Final = 64
 
 OTHER: Final = "other"
@@ -82,7 +80,6 @@ class Measure(msgspec.Struct, frozen=True):
 
 
 def label_text(text: str) -> str:
-    """Text from elsewhere as the value of a label."""
     return plain(text[:LABEL_LENGTH_MAX])
 
 
@@ -242,9 +239,7 @@ INFO: Final[dict[type[msgspec.Struct], tuple[str, str, dict[str, str]]]] = {
 BOUNDS: Final = Bounds(robots=1000, recorders=100, name_length=64, forgotten_ns=7 * 86_400 * 1_000_000_000)
 """The robots and recorders that have metrics; a silent one for a week."""
 
-GAP_MAX: Final = 100_000
-"""A step of the sequence by more is a sender that began anew, not a loss."""
-
+GAP_MAX: Final = 100_000  # a step of the sequence by more is a sender that began anew, not a loss
 DAMAGED: Final = "damaged"
 UNREADABLE: Final = ("newer", "older", DAMAGED)
 """Why a sample cannot be read: its schema is of a newer or an older version than here, or it is damaged."""
@@ -294,7 +289,6 @@ class _Group(msgspec.Struct):
         self.counts = defaultdict(_Counts, {name: self.counts[name] for name in names})
 
     def all(self) -> list[tuple[str, Source]]:
-        """Names and sources, in alphabetical order."""
         return [(name, self.sources[name]) for name in sorted(self.counts)]
 
 
@@ -330,7 +324,6 @@ class FleetMetrics:
             self._count(heard.encoding, sample, wall_s)
 
     def families(self, now_ns: int) -> Iterator[Metric]:
-        """All metrics as they are now."""
         self._robots.update(now_ns)
         self._recorders.update(now_ns)
         yield from self._own()
@@ -426,7 +419,6 @@ def _presence(group: _Group, now_ns: int) -> Iterator[Metric]:
 def _info(
     prefix: str, about: str, fields: dict[str, str], label: str, messages: Iterable[tuple[str, Message]]
 ) -> Metric:
-    """The texts of messages, as labels."""
     family = InfoMetricFamily(prefix, about, labels=[label])
     for name, message in messages:
         family.add_metric([name], {key: label_text(getattr(message, field)) for key, field in fields.items()})

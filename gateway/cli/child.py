@@ -23,8 +23,7 @@ END_TIMEOUT_S: Final = 20.0
 LINES_KEPT: Final = 50
 
 
-CRUISER: Final = module_command("gateway")
-"""The command that runs the ``cruiser`` of this very installation."""
+CRUISER: Final = module_command("gateway")  # the command that runs the ``cruiser`` of this very installation
 
 
 class Child:
@@ -82,7 +81,6 @@ class Child:
                 stream.close()
 
     def wait_ready(self) -> str:
-        """Its first line."""
         if not self._spoke.wait(READY_TIMEOUT_S):
             raise CommandError(f"{self._name} does not get ready")
         line = self._said[0] if self._said else ""
@@ -94,7 +92,6 @@ class Child:
 
     @property
     def is_over(self) -> bool:
-        """It has ended."""
         return self._process.poll() is not None
 
     def check(self) -> None:

@@ -14,9 +14,7 @@ from schemas.settings import Settings
 
 ZENOH_ENDING: Final = ".json5"
 
-SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")
-"""The settings of a robot's services."""
-
+SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")  # the settings of a robot's services
 OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
 """Commands that read these where no file is named: by hand, too, they are about the robot that it is."""
 

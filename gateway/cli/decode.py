@@ -139,17 +139,13 @@ NOT_CANDUMP: Final = "not_candump"
 MAX_LINE_BYTES: Final = 1024
 """The longest line that is looked at; candump's own, a CAN FD frame with its text, has under 400."""
 
-POLL_S: Final = 0.2
-"""The wait for more input ends so soon after a signal."""
-
+POLL_S: Final = 0.2  # the wait for more input ends so soon after a signal
 _STANDARD_INPUT: Final = 0
 _READ_BYTES: Final = 65_536
-_SHOWN: Final = 60
-"""Characters of a wrong line that its fault shows."""
+_SHOWN: Final = 60  # characters of a wrong line that its fault shows
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "file", nargs="?", default="-", metavar="FILE", help="a candump log; standard input if left out"
     )

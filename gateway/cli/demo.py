@@ -50,15 +50,11 @@ DESK_OUT: Final = Path("demo-desk")
 
 POLL_S: Final = 0.2
 
-BEGUN_MAX: Final = 5
-"""A gateway that died so often is started no more."""
-
-ENDED_AT_ONCE: Final = 8
-"""Processes that are ended at the same time."""
+BEGUN_MAX: Final = 5  # a gateway that died so often is started no more
+ENDED_AT_ONCE: Final = 8  # processes that are ended at the same time
 
 
 def add_desk_arguments(parser: argparse._ArgumentGroup) -> None:
-    """Declare the flags that belong to ``--desk``."""
     parser.add_argument(
         "--robots",
         type=partial(_whole, high=ROBOTS_MOST),
@@ -81,7 +77,6 @@ def add_desk_arguments(parser: argparse._ArgumentGroup) -> None:
 
 
 def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
-    """Run until it is stopped."""
     endpoint = arguments.endpoint or with_port(DEFAULT_ENDPOINT, _port(split_endpoint(DEFAULT_ENDPOINT)[2]))
     listen = shown_address(*(arguments.listen or (HOST, _port(DESK_PORT))))
     configuration = [] if arguments.config is None else ["--config", arguments.config]
@@ -150,7 +145,6 @@ class VirtualRobot:
         self._noted = ""
 
     def begin(self) -> None:
-        """Start its gateway."""
         self._begun += 1
         words = [*self._words, "--interface", "socketcand", "--channel", address_of(self.chassis)]
         self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
@@ -220,31 +214,22 @@ EXAMPLE: Final = """\
 
 OUT: Final = Path("demo-log")
 
-SHORTEST_S: Final = 20.0
-"""Stops, a reset and a second operator take their time."""
-
+SHORTEST_S: Final = 20.0  # stops, a reset and a second operator take their time
 LONGEST_S: Final = 86_400
 
-FIXED_S: Final = 19.0
-"""The time of all but the figure of eight."""
-
+FIXED_S: Final = 19.0  # the time of all but the figure of eight
 FIRST, SECOND, OBSERVER = "first-operator", "second-operator", "demo"
 SPEED_MPS, ANGLE_DEG = 1.0, 20.0
 
-DEADMAN_S: Final = 0.8
-"""A busy machine may hold up the operators for so long, and no longer."""
-
+DEADMAN_S: Final = 0.8  # a busy machine may hold up the operators for so long, and no longer
 RENEWED_S: Final = 0.05
 READY_TIMEOUT_S: Final = 10.0
 REST_TIMEOUT_S: Final = 10.0
-TRY_AGAIN_S: Final = 60.0
-"""For so long an act is begun again where a busy machine comes between."""
-
+TRY_AGAIN_S: Final = 60.0  # for so long an act is begun again where a busy machine comes between
 SETTLED_TICKS: Final = 50
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags of ``cruiser demo``."""
     parser.add_argument(
         "--seconds",
         type=seconds,
@@ -264,7 +249,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the demo that was asked for."""
     if arguments.desk:
         return run_desk(arguments, stopped)
     length_s = 30.0 if arguments.seconds is None else arguments.seconds
@@ -350,7 +334,6 @@ class Play:
         self._seen = self._connect(OBSERVER)
 
     def run(self, eight_s: float) -> None:
-        """Play all of it."""
         with self._seen:
             try:
                 self._act(FIRST, partial(self._eight, eight_s))

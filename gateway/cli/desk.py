@@ -37,7 +37,6 @@ LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "--listen",
         dest="desk.listen",
@@ -78,7 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Serve the desk until it is stopped."""
     try:
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
         from gateway.cli.desk_server import Hub, make_app, make_logs_app, serve  # noqa: PLC0415 - needs the extra 'desk'
@@ -125,7 +123,6 @@ def _tell(text: str) -> None:
 
 
 def _address(listen: str) -> tuple[str, int]:
-    """The address to listen on."""
     try:
         return listen_address(listen)
     except argparse.ArgumentTypeError as error:
@@ -141,7 +138,6 @@ def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
-    """Return a socket that listens."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)

@@ -27,23 +27,16 @@ from starlette.types import Receive, Scope, Send
 from schemas.command_line import CommandError, ExitCode, module_command, other_kind
 from schemas.reasons import Reason
 
-JOB_S: Final = 120.0
-"""The longest time that an answer may take; who needs more asks ``cruiser review`` itself."""
-
+JOB_S: Final = 120.0  # the longest time that an answer may take; who needs more asks ``cruiser review`` itself
 JOB_BYTES: Final = 2 << 30
 """The memory that an answer may take: a log can be made to unpack to much more than it is."""
 
-WAITING_MAX: Final = 16
-"""Questions that wait for their turn; any more are refused at once."""
-
-SAID_BYTES: Final = 4 << 20
-"""The longest answer that is read."""
-
+WAITING_MAX: Final = 16  # questions that wait for their turn; any more are refused at once
+SAID_BYTES: Final = 4 << 20  # the longest answer that is read
 NICENESS: Final = 10
 """A tenth of the processor where others want it: a robot that is driven through the same server comes first."""
 
-END_S: Final = 5.0
-"""Time to end in, once it is told to."""
+END_S: Final = 5.0  # time to end in, once it is told to
 
 
 class JobDone(msgspec.Struct, frozen=True):
@@ -71,7 +64,6 @@ class Jobs:
         self._waiting = 0
 
     async def __aenter__(self) -> None:
-        """Wait for a turn."""
         if self._waiting >= WAITING_MAX:
             raise JobsBusyError
         self._waiting += 1
@@ -81,7 +73,6 @@ class Jobs:
             self._waiting -= 1
 
     async def __aexit__(self, *_: object) -> None:
-        """Let the next one have its turn."""
         self._turns.release()
 
 
@@ -140,9 +131,7 @@ async def _read(stream: asyncio.StreamReader | None, most: int) -> bytes:
     return bytes(kept)
 
 
-PART: Final = ".part"
-"""So the name of a log ends that is being written."""
-
+PART: Final = ".part"  # so the name of a log ends that is being written
 REPORTS_KEPT: Final = 20
 
 SANDBOX: Final = {
@@ -160,15 +149,9 @@ QUESTIONS_AT_ONCE: Final = 2
 FIND_S: Final = 600.0
 """The longest wait for a search, which reads the logs that are new. What was read by then is kept."""
 
-ANSWERS: Final = 100
-"""Answers to a search, the newest."""
-
-LISTED: Final = 20
-"""Logs that are named without a catalog."""
-
-TEXT_MAX: Final = 300
-"""The longest word of a search."""
-
+ANSWERS: Final = 100  # answers to a search, the newest
+LISTED: Final = 20  # logs that are named without a catalog
+TEXT_MAX: Final = 300  # the longest word of a search
 Answer = Callable[[Request], Awaitable[Response]]
 
 FLAGS: Final = ("robot", "reason", "operator", "since", "until")
@@ -193,7 +176,6 @@ class Viewer(msgspec.Struct, frozen=True):
 
 
 def viewer(text: str) -> Viewer:
-    """Return the viewer at this address."""
     try:
         parts = urlsplit(text)
         port = parts.port
@@ -242,7 +224,6 @@ class DeskLogs:
         self._catalog = [] if is_beside else [f"--catalog={self.scratch / 'catalog.parquet'}"]
 
     def routes(self) -> list[Route]:
-        """Return where browsers find logs: a search, a log, its report, and why a robot stopped."""
         shared = [
             # Other pages see nothing but the logs, and these only where they are viewers' own.
             Middleware(
@@ -262,7 +243,6 @@ class DeskLogs:
         ]
 
     def close(self) -> None:
-        """Remove the reports."""
         self._scratch.cleanup()
 
     def path(self, name: str) -> Path | None:
@@ -279,7 +259,6 @@ class DeskLogs:
         return None
 
     async def download(self, request: Request) -> Response:
-        """Answer with the file, or with ranges of it."""
         path = self.path(request.path_params["name"])
         # The length of one that still grows cannot be said before.
         if path is None or path.name.endswith(PART):
@@ -356,7 +335,6 @@ class DeskLogs:
         return Response(msgspec.json.encode(head) + b"\n" + done.output, media_type="application/x-ndjson")
 
     async def _why(self, request: Request) -> Response:
-        """Answer with what ``cruiser review why`` says, as JSON."""
         path = self._asked(request)
         if isinstance(path, Response):
             return path
@@ -400,7 +378,6 @@ def _last_line(text: str) -> str:
 
 
 def _readable_directory(directory: str) -> Path:
-    """Return the path of a directory that may be read."""
     if not os.path.isdir(directory):  # noqa: PTH112 - Path raises where a directory above may not be read
         raise CommandError(f"{directory} is no directory (desk.logs)", ExitCode.USAGE)
     if not os.access(directory, os.R_OK | os.X_OK):
@@ -428,7 +405,6 @@ class _Download(FileResponse):
         self._descriptor = descriptor
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it, and close it."""
         try:
             await super().__call__(scope, receive, send)
         finally:
@@ -448,22 +424,18 @@ def is_foreign(request: Request) -> bool:
 
 
 def is_readable(path: Path) -> bool:
-    """Return True if this process may read it."""
     return os.access(path, os.R_OK)
 
 
 def forbidden(path: Path) -> Response:
-    """Answer that a log may not be read."""
     return PlainTextResponse(UNREADABLE.format(path.name), 403)
 
 
 def missing() -> Response:
-    """Answer that there is no such log."""
     return PlainTextResponse("there is no such log", 404)
 
 
 def busy() -> Response:
-    """Answer that too many questions wait."""
     return PlainTextResponse("too many questions wait already: ask again in a minute", 503)
 
 

@@ -69,12 +69,8 @@ from schemas.subjects import BY_VERB, STATEMENT_REPLY_ENCODING, STOP_VERB
 log = logging.getLogger(__name__)
 
 SOCKETS_MAX: Final = 128
-PEER_SOCKETS_MAX: Final = 64
-"""WebSockets that are open, of all and of one peer."""
-
-READ_BYTES: Final = 4096
-"""Bytes that are read at a time. asyncio's own 256 KiB hold 43,000 frames."""
-
+PEER_SOCKETS_MAX: Final = 64  # WebSockets that are open, of all and of one peer
+READ_BYTES: Final = 4096  # bytes that are read at a time. asyncio's own 256 KiB hold 43,000 frames.
 REQUEST_BYTES: Final = 1024
 """Bytes of a request that are read in a turn..."""
 
@@ -88,15 +84,9 @@ TURN_SHARE: Final = 0.2
 """... and the part of the time that they may take."""
 
 ACCEPTS: Final = 16
-ACCEPTS_PAUSE_S: Final = 0.002
-"""So many connections are accepted, then there is a pause."""
-
-EXHAUSTED_S: Final = 1.0
-"""The pause after this process, or the machine, has run out of files or memory."""
-
-UNREAD_S: Final = 60.0
-"""A peer that takes nothing of what it is sent for this time has gone."""
-
+ACCEPTS_PAUSE_S: Final = 0.002  # so many connections are accepted, then there is a pause
+EXHAUSTED_S: Final = 1.0  # the pause after this process, or the machine, has run out of files or memory
+UNREAD_S: Final = 60.0  # a peer that takes nothing of what it is sent for this time has gone
 REQUEST_END: Final = re.compile(rb"\n\r?\n")
 
 TOO_MUCH: Final = b"\x88\x02\x03\xf0"
@@ -130,7 +120,6 @@ class Door:
         asyncio.get_running_loop().add_reader(self._listening, self._accept)
 
     def close(self) -> None:
-        """Take nobody in any more."""
         asyncio.get_running_loop().remove_reader(self._listening)
         self._listening.close()
 
@@ -173,15 +162,12 @@ class Door:
             connection.rests()
 
     def leave(self, connection: _Connection) -> None:
-        """A connection has ended."""
         self._peers.leave(connection)
 
     def asks(self, connection: _Connection) -> None:
-        """A connection has asked for something."""
         self._peers.asks(connection)
 
     def rests(self, connection: _Connection) -> None:
-        """A connection has been answered."""
         self._peers.rests(connection)
 
     def _accept(self) -> None:
@@ -309,12 +295,10 @@ class _Connection(asyncio.BufferedProtocol):
         self._door.rests(self)
 
     def leave(self) -> None:
-        """Make room."""
         self._drop_deadline()
         self._door.leave(self)
 
     def cut(self) -> None:
-        """End it at once."""
         if self._transport is not None:
             self._transport.abort()
         else:
@@ -333,11 +317,9 @@ class _Connection(asyncio.BufferedProtocol):
         self.inner.connection_lost(error)
 
     def pause_writing(self) -> None:
-        """Pass it on."""
         self.inner.pause_writing()
 
     def resume_writing(self) -> None:
-        """Pass it on."""
         self.inner.resume_writing()
 
     def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the library's form
@@ -355,7 +337,6 @@ class _Connection(asyncio.BufferedProtocol):
         self._go_on()
 
     def become_socket(self, protocol: asyncio.Protocol) -> None:
-        """It is a WebSocket from now on."""
         self.inner = protocol
         self._frames = SocketFrames()
 
@@ -433,9 +414,7 @@ class _Way:
         self._connection.become_socket(protocol)
 
 
-POLL_S: Final = 0.01
-"""The period in which arrivals are taken from Zenoh, and sent on to who looks at their robot."""
-
+POLL_S: Final = 0.01  # the period in which arrivals are taken from Zenoh, and sent on to who looks at their robot
 ROWS_S: Final = 0.2
 """The period of the overview, sent also where nothing has changed: a page that receives nothing has no contact."""
 
@@ -444,17 +423,11 @@ LATE_NS: Final = 1_000_000_000
 
 AGEING: Final = ("/state", "/gateway/health")
 
-ASK_S: Final = 3.0
-"""The longest wait for the replies to a question."""
-
+ASK_S: Final = 3.0  # the longest wait for the replies to a question
 STOP_S: Final = 5.0
 
-QUESTIONS_MAX: Final = 32
-"""Questions of one browser that may be under way."""
-
-REPLIES_MAX: Final = 64
-"""Replies to one question that are passed on: nobody answers so often but who floods."""
-
+QUESTIONS_MAX: Final = 32  # questions of one browser that may be under way
+REPLIES_MAX: Final = 64  # replies to one question that are passed on: nobody answers so often but who floods
 STOPS_MAX: Final = 4
 """Stops of one browser whose outcomes are looked for at a time; another is sent, and its outcome not known."""
 
@@ -468,9 +441,7 @@ SAMPLE_MAX_BYTES: Final = 65_536
 
 EVENT: Final = "safety/event"
 
-CLOSE: Final = ("state", "safety/state", EVENT, "gateway/health")
-"""The subjects of a robot that is shown closely."""
-
+CLOSE: Final = ("state", "safety/state", EVENT, "gateway/health")  # the subjects of a robot that is shown closely
 REQUESTS: Final = {verb: (command.encoding, command.reply_encoding) for verb, command in sorted(BY_VERB.items())}
 
 Stopper = Callable[[Settings, str, str, float], StopReport]
@@ -495,7 +466,6 @@ class Browser:
         self.looked_ns: int | None = None
 
     def tell(self, message: words.ToBrowser) -> None:
-        """Send a message, as soon as the browser reads it."""
         self.outbox.add(message)
         self.ready.set()
 
@@ -512,7 +482,6 @@ class Hub:
         *,
         has_logs: bool = False,
     ) -> None:
-        """Use a listener to all robots, and a session that nothing but commands is on."""
         self._settings = settings
         self._root = settings.robot.root
         self._listener = listener
@@ -546,11 +515,9 @@ class Hub:
         return browser
 
     def leave(self, browser: Browser) -> None:
-        """A browser has gone."""
         self._browsers.discard(browser)
 
     async def run(self, ends: Callable[[], bool]) -> None:
-        """Carry until the end."""
         while not ends():
             self.step(time.monotonic_ns())
             await asyncio.sleep(POLL_S)
@@ -740,17 +707,13 @@ HEADERS: Final = {
     "Cache-Control": "no-cache",
 }
 
-PING_S: Final = 2.0
-"""A browser that is not heard for this time after a ping is gone."""
+PING_S: Final = 2.0  # a browser that is not heard for this time after a ping is gone
 
 
-HEAD_BYTES: Final = 8192
-"""The longest head of a request."""
+HEAD_BYTES: Final = 8192  # the longest head of a request
 
 
 def make_app(hub: Hub, hosts: Sequence[str], logs: DeskLogs | None = None) -> Starlette:
-    """Make the application of a desk with robots."""
-
     async def link(web: WebSocket) -> None:
         if not _is_own({"ws": "http", "wss": "https"}[web.url.scheme], web.headers):
             await web.close(FOREIGN)
@@ -805,8 +768,6 @@ class SecurityHeaders:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request."""
-
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
@@ -847,16 +808,13 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Take no signals."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Open the door."""
         await super().startup(sockets)
         self._door.open(self._protocol, self.config.ssl)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the door, and end what is open."""
         self._door.close()
         await super().shutdown(sockets)
 

@@ -52,9 +52,7 @@ EXAMPLE: Final = """\
   cruiser doctor
   cruiser doctor --config /etc/cruiser/cruiser.toml --json | jq -r '.findings[].cure'"""
 
-HEARS_S: Final = 1.3
-"""Health comes once a second: who has said nothing for so long says nothing."""
-
+HEARS_S: Final = 1.3  # health comes once a second: who has said nothing for so long says nothing
 POLL_S: Final = 0.02
 
 SEEING: Final = ("viewer.json5", "recorder.json5", "operator.json5", "desk.json5")
@@ -76,7 +74,6 @@ OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.description = (
         "Listens to the bus, asks the gateway and the recorder, and looks at this computer. One line a finding, "
         "with its cure; exit code 1 if something must be done. Then the metres that the settings add up to. It "

@@ -83,28 +83,20 @@ class Terminal:
             return None
 
 
-REPEAT_NS: Final = 200_000_000
-"""A key that repeats comes again within this time; slow keyboards take 90 ms."""
-
+REPEAT_NS: Final = 200_000_000  # a key that repeats comes again within this time; slow keyboards take 90 ms
 BEGIN_NS: Final = 800_000_000
 """A key that is held begins to repeat within this time; keyboards wait for up to 660 ms."""
 
-BEGIN_MIN_NS: Final = 150_000_000
-"""No keyboard begins to repeat sooner."""
-
+BEGIN_MIN_NS: Final = 150_000_000  # no keyboard begins to repeat sooner
 BURST_STROKES: Final = 6
 """As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
 
-LONGEST: Final = 64
-"""No sequence that a terminal sends is longer."""
-
+LONGEST: Final = 64  # no sequence that a terminal sends is longer
 _ESCAPE: Final = 0x1B
 _SEQUENCE: Final = re.compile(rb"\x1b(?:\[[0-9:;<=>?]*[ -/]*([@-~])|O([A-Z]))")
 _BEGUN: Final = re.compile(rb"\x1b(\[[0-9:;<=>?]*[ -/]*|O)?")
 _ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
-_ARROW_BYTES: Final = 3
-"""A longer sequence is an arrow with Ctrl, Alt or Shift: another key."""
-
+_ARROW_BYTES: Final = 3  # a longer sequence is an arrow with Ctrl, Alt or Shift: another key
 _CHARACTERS: Final = {0x03: "ctrl-c", 0x20: "space"}
 
 
@@ -191,7 +183,6 @@ class HeldKeys:
         return [key for key in keys if key not in BINDINGS]
 
     def wish(self, now_ns: int) -> Wish:
-        """Return the motion asked for now."""
         return BINDINGS[self._last] if self._last and now_ns < self._until_ns else NOTHING
 
     def release_all(self) -> None:
@@ -237,7 +228,6 @@ class Cockpit(msgspec.Struct, frozen=True):
 
 
 def panel(cockpit: Cockpit) -> RenderableType:
-    """The view."""
     state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
     good = state.state is ArbiterState.ENGAGED
     lines = [
@@ -285,22 +275,17 @@ SPEED_MPS: Final = 0.4
 ANGLE_DEG: Final = 15.0
 SPEED_STEP_MPS: Final = 0.1
 
-KEY_S: Final = 0.02
-"""The period in which keys are read, and the set point renewed."""
-
+KEY_S: Final = 0.02  # the period in which keys are read, and the set point renewed
 KEY_HOLD_S: Final = 0.3
 """A terminal that takes no output, and holds us up, does not keep the robot moving for longer."""
 
 DRAW_S: Final = 0.1
 
-SCRIPT_S: Final = 0.05
-"""The period in which a script's set point is renewed."""
-
+SCRIPT_S: Final = 0.05  # the period in which a script's set point is renewed
 _LEAVE: Final = frozenset({"q", "x", "ctrl-c"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.description = (
         f"{parser.description or ''}\n\n"
         "The robot moves while a key repeats: motion begins with the first repeat, half a second after the key\n"

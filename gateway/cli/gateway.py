@@ -49,16 +49,13 @@ EXAMPLE = """\
   cruiser gateway --interface socketcan --channel can0 --robot cruiser-7
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
 
-RUN_BITS = 53
-"""Every language's numbers hold as many."""
-
+RUN_BITS = 53  # every language's numbers hold as many
 HELD_BY_MOTOR = "the robot is held by the motor alone, its parking brake does not hold it: chock its wheels"
 
 VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags of ``cruiser gateway``."""
     # It runs for hours, and who looks into its log wants to see links come and go.
     parser.set_defaults(log_level="info")
     add_bus_arguments(parser)
@@ -220,7 +217,6 @@ def _open_inbox(settings: Settings, place: ZenohPlace, signed: SignedMode | None
 
 
 def _manager(closing: ExitStack) -> Manager:
-    """The service manager that started this process, if one did."""
     manager = ServiceManager.of(os.environ)
     if manager is None:
         return NoManager()
@@ -238,7 +234,6 @@ def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: Zen
 
 
 def _notes(signed: SignedMode | None, renewal: Renewal | None, node: ZenohNode | LateNode) -> tuple[str, ...]:
-    """Notes for people, each one line."""
     own = ("" if renewal is None else renewal.note, "" if signed is None else signed.note(time.time()))
     return (*filter(None, own), *node.notes())
 
@@ -265,7 +260,6 @@ def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMo
 
 
 def _renewal(settings: Settings) -> Renewal | None:
-    """Watch for keys that are installed, in signed mode."""
     if settings.authority.mode != "signed":
         return None
     from gateway.host.signed_mode import Renewal  # noqa: PLC0415 - open mode does without

@@ -41,7 +41,6 @@ _EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED, OTHER: Exit
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags of ``cruiser halt``."""
     parser.description = (
         "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
         "parking brake, then silence. It waits for a guard at work, and for a remote control "
@@ -64,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Halt the robot."""
     try:
         bus = open_bus(settings.can, CHASSIS.common.identifiers)
     except BusLost as error:
@@ -102,7 +100,6 @@ class HaltSequence:
         self._evidence: bytes | None = None
 
     def run(self, *, force: bool) -> ExitCode:
-        """Halt the robot."""
         self._listen(HALT_LISTEN_NS)
         if self._is_commanded() and not force:
             _say("another sender commands the chassis, perhaps the guard: waiting until it has done")

@@ -29,7 +29,6 @@ POLL_S: Final = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_robot_arguments(parser)
     parser.add_argument("--hold", action="store_true", help="acquire it, print its number, keep it until Ctrl-C")
     add_take_arguments(parser)
@@ -41,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the holder of the lease, or hold it until interrupted."""
     with connect(arguments, settings, stopped) as robot:
         if arguments.hold or arguments.take or arguments.override or arguments.engage:
             with wanted_lease(robot, arguments) as lease:

@@ -36,24 +36,14 @@ EXAMPLE = """\
 
 log = logging.getLogger(__name__)
 
-BLIND_ROLES: Final = frozenset({"robot", "router"})
-"""Roles whose certificates see no telemetry of robots."""
-
-SEEN_KEPT: Final = 1000
-"""So many robots are expected at one place."""
-
-NAMED_MAX: Final = 8
-"""So many of the lost robots are named on standard error; each has its line in the list."""
-
-ARBITER_S: Final = 0.2
-"""A robot that has sent no state of an arbiter so long after its own state has none."""
-
-POLL_S: Final = 0.02
-"""The period in which arrivals are taken from Zenoh."""
+BLIND_ROLES: Final = frozenset({"robot", "router"})  # roles whose certificates see no telemetry of robots
+SEEN_KEPT: Final = 1000  # so many robots are expected at one place
+NAMED_MAX: Final = 8  # so many of the lost robots are named on standard error; each has its line in the list
+ARBITER_S: Final = 0.2  # a robot that has sent no state of an arbiter so long after its own state has none
+POLL_S: Final = 0.02  # the period in which arrivals are taken from Zenoh
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "robots",
         nargs="?",
@@ -156,7 +146,6 @@ class Expected:
         self._write([*(robot for robot in self._here if robot not in now), *now])
 
     def forget(self, names: str) -> None:
-        """Expect these no more."""
         self._write([robot for robot in self._here if not fnmatch.fnmatchcase(robot, names)])
 
     def _write(self, robots: list[str]) -> None:
@@ -178,14 +167,12 @@ class Sightings:
         self._expected = expected
 
     def poll(self) -> None:
-        """Take what has arrived."""
         now_ns = time.monotonic_ns()
         self.fleet.linked = self.listener.connected()
         for arrival in self.listener.drain():
             self.fleet.receive(arrival, now_ns)
 
     def reports(self) -> list[RobotStatus]:
-        """Every robot's report."""
         now_ns = time.monotonic_ns()
         names = {*self.fleet.robots.names(now_ns), *self._expected}
         return [self.fleet.report(robot, now_ns) for robot in sorted(names, key=keys.in_order)]
@@ -207,7 +194,6 @@ class _Search:
         return self._roll.is_answered
 
     def run(self, deadline_s: float, stopped: Callable[[], bool]) -> list[RobotStatus]:
-        """Return every robot's report."""
         while not stopped() and (now_s := time.monotonic()) < deadline_s and not self._step(now_s):
             time.sleep(POLL_S)
         return self._sightings.reports()

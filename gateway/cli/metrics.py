@@ -27,7 +27,6 @@ LISTEN: Final = ("127.0.0.1", 9747)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "--listen",
         type=address,
@@ -40,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Serve the metrics until it is stopped."""
     try:
         from gateway.cli.metrics_server import MetricsServer  # noqa: PLC0415 - needs the extra 'metrics'
         from gateway.metrics import FleetMetrics  # noqa: PLC0415 - the same

@@ -26,8 +26,7 @@ from schemas.peers import REQUEST_S, Peers, most_connections, peer_of
 
 log = logging.getLogger(__name__)
 
-POLL_S: Final = 0.1
-"""The period in which arrivals are taken from Zenoh."""
+POLL_S: Final = 0.1  # the period in which arrivals are taken from Zenoh
 
 
 class MetricsServer(Collector):
@@ -80,7 +79,6 @@ class MetricsServer(Collector):
             time.sleep(POLL_S)
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics as they are now: for the registry."""
         with self._lock:
             families = list(self._metrics.families(time.monotonic_ns()))
         yield from families

@@ -34,7 +34,6 @@ def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the robot, and the flags of an operator."""
     parser.add_argument("robot", type=robot_name, metavar="ROBOT", help="the robot")
     add_operator_arguments(parser)
 
@@ -56,7 +55,6 @@ def add_take_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
-    """The lease as ``add_take_arguments`` says."""
     if arguments.take or arguments.override:
         return robot.take(arguments.role, override=arguments.override)
     return robot.lease(arguments.role)
@@ -73,7 +71,6 @@ def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable
 
 
 def lease_number(text: str) -> int:
-    """A lease's number on the command line."""
     if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
         raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
     return int(text)

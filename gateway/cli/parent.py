@@ -14,8 +14,7 @@ from typing import Final
 VARIABLE: Final = "CRUISER_PARENT_PIPE"
 """Names the reading end, a file descriptor. The parent holds the other end, and writes nothing."""
 
-END_S: Final = 20.0
-"""The longest time that an orderly end may take."""
+END_S: Final = 20.0  # the longest time that an orderly end may take
 
 
 def end_with_parent() -> None:

@@ -22,7 +22,6 @@ EXAMPLE = """\
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.description = (
         f"{parser.description or ''}\n\n"
         "The robot must stand, and the cause must be gone. Nothing resumes by itself: it must be engaged again.\n"
@@ -39,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Reset the robot."""
     with connect(arguments, settings, stopped) as robot:
         if arguments.lease is not None:
             cleared = robot.reset(arguments.lease, arguments.of, wait=arguments.wait)

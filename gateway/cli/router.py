@@ -28,7 +28,6 @@ POLL_S: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "--zenoh-config",
         dest="zenoh.config",
@@ -48,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Route until it is stopped."""
     file = Path(settings.zenoh.config) if settings.zenoh.config else directory_of(settings.authority) / FILE
     if not file.is_file():
         raise CommandError(f"{plain(str(file))} is not there; 'cruiser provision router' makes it", ExitCode.USAGE)

@@ -38,18 +38,14 @@ _logger = logging.getLogger(__name__)
 
 _NS_PER_S: Final = 1_000_000_000
 
-_MAX_WAIT_NS: Final = 50_000_000
-"""A signal to stop is seen after this time at the latest."""
-
+_MAX_WAIT_NS: Final = 50_000_000  # a signal to stop is seen after this time at the latest
 _STALL_NS: Final = 500_000_000
 """Later than this, the process was stopped rather than late: the time is left out of the chassis's life.
 
 Catching up would put seconds of feedback on the bus at once, which no chassis does.
 """
 
-_MAX_FRAMES_PER_WAIT: Final = 200
-"""Frames taken from a CAN bus before the chassis has its turn again."""
-
+_MAX_FRAMES_PER_WAIT: Final = 200  # frames taken from a CAN bus before the chassis has its turn again
 Inject = Callable[[str], str]
 """Causes the fault that a text names; returns what is wrong with the text, or nothing."""
 
@@ -72,11 +68,9 @@ class SimClock:
     """The machine's clocks."""
 
     def monotonic_ns(self) -> int:
-        """For deadlines."""
         return time.monotonic_ns()
 
     def wall_ns(self) -> int:
-        """For the frames' time stamps."""
         return time.time_ns()
 
 
@@ -105,7 +99,6 @@ class CanBusLink:
             self._frames.append(frame)
 
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
-        """The frames of the last wait."""
         del now_ns, wall_ns, inject  # A CAN bus stamps its frames, and carries no words.
         frames, self._frames = self._frames, []
         return frames
@@ -180,7 +173,6 @@ chassis runs:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the flags."""
     parser.description = f"{parser.description or ''}\n\n{_FAULT_HELP}"
     parser.add_argument(
         "--listen",
@@ -216,7 +208,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Runs the chassis until it is stopped."""
     flags = vars(arguments)
     attached = flags.get("can.interface") is not None
     if attached and flags.get("sim.listen") is not None:

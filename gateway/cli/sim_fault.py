@@ -24,7 +24,6 @@ _MAX_ANSWER_BYTES: Final = 1024
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the flags."""
     parser.description = f"{parser.description or ''}\n\n{GRAMMAR}"
     parser.add_argument(
         "--sim", dest="sim.listen", metavar="HOST:PORT", help="where the chassis is (default 127.0.0.1:29536)"
@@ -34,7 +33,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Sends the fault, and prints the answer."""
     del stopped  # It takes no longer than _TIMEOUT_S.
     text = " ".join(arguments.words)
     cause(settings.sim.listen, text)
@@ -43,7 +41,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def cause(address: str, text: str) -> None:
-    """Cause a fault in the virtual chassis at HOST:PORT."""
     line = parse(text)
     if isinstance(line, FaultTextError):
         raise CommandError(line.reason, ExitCode.USAGE)

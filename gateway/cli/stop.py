@@ -35,7 +35,6 @@ NAMED: Final = ("stopped", "refused", "unconfirmed", "silent", "unverified", "un
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.description = (
         f"{parser.description or ''}\n\n"
         "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"

@@ -44,7 +44,6 @@ class VerbCommand(msgspec.Struct, frozen=True):
     keep_s: float | None = None
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the flags."""
         parser.description = f"{parser.description or ''}\n\n{WANTS_ENGAGED}"
         add_robot_arguments(parser)
         parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
@@ -56,7 +55,6 @@ class VerbCommand(msgspec.Struct, frozen=True):
         self.add_flags(parser)
 
     def run(self, arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-        """Ask the robot, and keep it engaged where that is what lasts."""
         with connect(arguments, settings, stopped) as robot:
             if arguments.lease is not None:
                 self._ask(robot, arguments, arguments.lease)

@@ -30,20 +30,13 @@ EXAMPLE = """\
   cruiser watch 'cruiser-1*'                      several
   cruiser watch --connect tcp/10.0.0.5:7447 --json | jq .state.speed_mps"""
 
-POLL_S: Final = 0.02
-"""The period in which arrivals are taken from Zenoh."""
-
-REFRESH_S: Final = 0.1
-"""The period in which the terminal is drawn."""
-
-LINE_S: Final = 1.0
-"""The period in which a line is written for each robot when there is no terminal."""
-
+POLL_S: Final = 0.02  # the period in which arrivals are taken from Zenoh
+REFRESH_S: Final = 0.1  # the period in which the terminal is drawn
+LINE_S: Final = 1.0  # the period in which a line is written for each robot when there is no terminal
 Draw = Callable[[list[RobotStatus]], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "robot",
         nargs="?",
@@ -61,7 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show the robots' messages until interrupted."""
     robot = "" if keys.ALL in arguments.robot else arguments.robot
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     with RobotListener.open(settings, arguments.robot) as listener:

@@ -34,15 +34,11 @@ EVENTS_SHOWN: Final = 5
 
 POLL_S: Final = 0.02
 
-EVENTS_S: Final = 0.3
-"""Past events come a moment after the state."""
-
-HEALTH_S: Final = 1.2
-"""The longest wait for the gateway's health, which is published once a second."""
+EVENTS_S: Final = 0.3  # past events come a moment after the state
+HEALTH_S: Final = 1.2  # the longest wait for the gateway's health, which is published once a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_robot_arguments(parser)
     parser.add_argument("--json", action="store_true", help="one JSON object")
 

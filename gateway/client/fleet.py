@@ -29,11 +29,8 @@ from schemas.subjects import COMMANDS, Command
 
 BY_REQUEST: Final = {command.request: command for command in COMMANDS}
 
-THIS_SIDE: Final = "this program"
-"""Who reads, in what is said of another version."""
-
-encode_request: Final = msgspec.msgpack.Encoder().encode
-"""A request's MessagePack bytes."""
+THIS_SIDE: Final = "this program"  # who reads, in what is said of another version
+encode_request: Final = msgspec.msgpack.Encoder().encode  # a request's MessagePack bytes
 
 
 CONTRADICTION: Final = "the replies contradict each other: another gateway of this name, or an impostor, is there"
@@ -113,15 +110,11 @@ class NewerWords:
         )
 
 
-NEWER_WORDS_MAX: Final = 64
-"""Unknown words that are counted; the words are the sender's, and so may be any number."""
-
+NEWER_WORDS_MAX: Final = 64  # unknown words that are counted; the words are the sender's, and so may be any number
 NEWER_WORDS_SHOWN: Final = 4
 
 
-STATE_STALE_NS: Final = 1_000_000_000
-"""A state, due every 50 ms, is no longer shown after 1 s."""
-
+STATE_STALE_NS: Final = 1_000_000_000  # a state, due every 50 ms, is no longer shown after 1 s
 HEALTH_STALE_NS: Final = 3_500_000_000
 """A health, due every second, is no longer shown after 3.5 s: two may be lost."""
 
@@ -332,7 +325,6 @@ class Fleet:
         )
 
     def report(self, robot: str, now_ns: int) -> RobotStatus:
-        """A robot at this moment; one that was never heard of has an empty report."""
         known = self.robots[robot]
         return RobotStatus(
             robot=robot,
@@ -350,8 +342,7 @@ class Fleet:
 
 FINE: Final = 0
 LOOK: Final = 1
-ALARM: Final = 2
-"""The levels: nothing is wrong; somebody should look; it needs a person."""
+ALARM: Final = 2  # the levels: nothing is wrong; somebody should look; it needs a person
 
 WORDS: Final = {
     "offline": ALARM,
@@ -377,7 +368,6 @@ COUNTED: Final = {"needs_reset": ("needs reset", "need reset"), "telemetry": ("t
 
 
 def word_of(report: RobotStatus) -> tuple[str, list[Reason]]:
-    """Return a robot's word, and the reasons for it."""
     state, safety = report.state, report.safety
     if state is None:
         return OFFLINE, []
@@ -403,7 +393,6 @@ def _word_of_arbiter(state: RobotState, safety: SafetyState) -> tuple[str, list[
 
 
 def label_of(word: str) -> str:
-    """Return a word as people read it."""
     return LABELS.get(word, word.replace("_", " "))
 
 
@@ -423,8 +412,7 @@ BAD: Final = "bold red"
 LOUD: Final = "bold white on red"
 PLAIN: Final = ""
 
-NO_VALUE: Final = "--"
-"""A value that is not known: never seen, or silent."""
+NO_VALUE: Final = "--"  # a value that is not known: never seen, or silent
 
 
 class Fact(msgspec.Struct, frozen=True):
@@ -436,7 +424,6 @@ class Fact(msgspec.Struct, frozen=True):
 
 
 def state_facts(state: RobotState) -> list[Fact]:
-    """Return the facts of a robot's state."""
     hit = [side for side, on in (("front", state.front_bumper), ("rear", state.rear_bumper)) if on]
     lamps = (
         ("headlamp", state.headlamp),
@@ -461,7 +448,6 @@ def state_facts(state: RobotState) -> list[Fact]:
 
 
 def health_facts(health: GatewayHealth) -> list[Fact]:
-    """Return the facts of a gateway's health."""
     lost = sum(frame.lost for frame in health.feedback)
     faults = ", ".join(f"{plain(kind)} {count}" for kind, count in sorted(health.faults.items()) if count)
     bus = f"{plain(health.bus)} {'up' if health.bus_up else 'DOWN'}"
@@ -540,7 +526,6 @@ def _attention(report: RobotStatus) -> list[str]:
 
 
 def panel(report: RobotStatus) -> RenderableType:
-    """A robot, large."""
     grid = Table.grid(padding=(0, 2))
     for _ in range(4):
         grid.add_column(no_wrap=False)

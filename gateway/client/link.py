@@ -41,27 +41,19 @@ from schemas.messages import GatewayHealth, RobotState
 from schemas.reasons import TEXTS, Reason
 from schemas.requests import Acquire, Drive, Release, Renew, Request, Take
 
-PERIOD_S: Final = 0.02
-"""The stream's period while the robot is engaged: 50 Hz."""
-
-HOLD_S: Final = 0.5
-"""A set point holds for this long unless it is renewed."""
-
-HOLD_MAX_S: Final = 2.0
-"""No set point holds for longer: a program that hangs shall not drive on."""
-
+PERIOD_S: Final = 0.02  # the stream's period while the robot is engaged: 50 Hz
+HOLD_S: Final = 0.5  # a set point holds for this long unless it is renewed
+HOLD_MAX_S: Final = 2.0  # no set point holds for longer: a program that hangs shall not drive on
 STALE_NS: Final = 1_000_000_000
 """A command that echoes a challenge received longer ago than this would be refused, so it is not sent."""
 
-SILENT_NS: Final = 1_000_000_000
-"""A robot is out of reach after this time without its safety/state."""
+SILENT_NS: Final = 1_000_000_000  # a robot is out of reach after this time without its safety/state
 
 
 FOREIGN_NS: Final = 500_000_000
 """Another sender's commands reappear within this time: between them, our own are executed."""
 
-SENT_KEPT: Final = 128
-"""So many commands are remembered: those of the last two seconds and a half."""
+SENT_KEPT: Final = 128  # so many commands are remembered: those of the last two seconds and a half
 
 
 BEGAN_ANEW: Final = "the robot's gateway has begun anew, and knows nothing of the lease"
@@ -69,8 +61,7 @@ BEGAN_ANEW: Final = "the robot's gateway has begun anew, and knows nothing of th
 
 GRANT_ENDS: Final = frozenset({Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED})
 
-ROUNDING: Final = 1e-6
-"""m/s and deg: no target that was asked for differs by less."""
+ROUNDING: Final = 1e-6  # m/s and deg: no target that was asked for differs by less
 
 
 class SetPoint(msgspec.Struct, frozen=True):
@@ -82,7 +73,6 @@ class SetPoint(msgspec.Struct, frozen=True):
     yaw_rate_radps: float | None = None
 
     def command(self, lease: int, seq: int, challenge: bytes, tick: int) -> Drive:
-        """The drive command that asks for it."""
         return Drive(
             lease=lease,
             seq=seq,
@@ -150,7 +140,6 @@ class DriveStream:
 
     @property
     def is_lost(self) -> bool:
-        """The lease is not ours any more."""
         return self.ending is not None and self.ending.lease_lost
 
     @property
@@ -190,7 +179,6 @@ class DriveStream:
         self._note = ""
 
     def see(self, state: SafetyState, now_ns: int) -> None:
-        """The robot's newest safety/state."""
         self._state, self._seen_ns = state, now_ns
         if state.lease_holder == self._operator:
             self._was_holder = True
@@ -216,7 +204,6 @@ class DriveStream:
             self._end(DriveEnd(reason, detail))
 
     def lose(self, reason: Reason, detail: str = "") -> None:
-        """The lease is lost."""
         if reason is Reason.NO_LEASE and self._state is not None and self._is_of_other_run(self._state):
             detail = BEGAN_ANEW
         if not self.is_lost:
@@ -288,14 +275,10 @@ def _loss_of(state: SafetyState) -> Reason:
 
 log = logging.getLogger(__name__)
 
-RENEWALS: Final = 4
-"""A lease is renewed this many times before it would expire."""
-
+RENEWALS: Final = 4  # a lease is renewed this many times before it would expire
 EVENTS_KEPT: Final = 2000
 
-SEEN_KEPT: Final = 1024
-"""So many samples wait for ``look``."""
-
+SEEN_KEPT: Final = 1024  # so many samples wait for ``look``
 AGAIN_S: Final = 0.02
 """Pause before a request for a lease is sent again to a robot that too many ask: its door has no time for all."""
 
@@ -357,7 +340,6 @@ class RobotLink:
 
     @property
     def is_heard(self) -> bool:
-        """Its safety/state was heard lately."""
         with self.heard:
             return self._state is not None and time.monotonic_ns() - self._state_ns <= SILENT_NS
 
@@ -369,12 +351,10 @@ class RobotLink:
 
     @property
     def has_stream(self) -> bool:
-        """A lease is held."""
         with self.heard:
             return self._stream is not None
 
     def sighting(self) -> Sighting:
-        """The newest that was heard."""
         with self.heard:
             now_ns = time.monotonic_ns()
             if self._state is None or now_ns - self._state_ns > SILENT_NS:
@@ -390,7 +370,6 @@ class RobotLink:
             return seen
 
     def take_events(self) -> list[SafetyEvent]:
-        """The events that were heard since the last call."""
         with self.heard:
             events = list(self._events)
             self._events.clear()
@@ -433,7 +412,6 @@ class RobotLink:
         return self._proof.unmet
 
     def doubt(self, robot: str) -> Unmet:
-        """The reason for which an answer of this robot cannot be verified."""
         return UNSIGNED if self._proof is None else self._proof.doubt(robot)
 
     def _ask(self, request: Request, timeout_s: float) -> Reply:
@@ -466,7 +444,6 @@ class RobotLink:
             self._renew_ns = time.monotonic_ns() + self._renew_every_ns
 
     def end_stream(self) -> None:
-        """No lease is held any more."""
         with self.heard:
             self._stream = None
 

@@ -34,11 +34,8 @@ from schemas.requests import Acquire, Request, Take
 from schemas.settings import Settings
 from schemas.subjects import DRIVE_VERB, STOP_VERB
 
-CONFIRM_NS: Final = 150_000_000
-"""Time over which a robot's states must agree to be believed."""
-
-CONFIRM_SAMPLES: Final = 3
-"""Samples in which it must say so: anyone can put a false one between the robot's own."""
+CONFIRM_NS: Final = 150_000_000  # time over which a robot's states must agree to be believed
+CONFIRM_SAMPLES: Final = 3  # samples in which it must say so: anyone can put a false one between the robot's own
 
 
 class Evidence:
@@ -62,7 +59,6 @@ class Evidence:
 
     @property
     def is_enough(self) -> bool:
-        """There are enough of them."""
         return self._count >= CONFIRM_SAMPLES and self._last_ns - self._first_ns >= CONFIRM_NS
 
     def clear(self) -> None:
@@ -72,17 +68,12 @@ class Evidence:
 
 log = logging.getLogger(__name__)
 
-SHOW_TIMEOUT_S: Final = 1.0
-"""A robot answers a statement within a few ticks of 10 ms."""
-
+SHOW_TIMEOUT_S: Final = 1.0  # a robot answers a statement within a few ticks of 10 ms
 ASK_AGAIN_NS: Final = 250_000_000
 """The shortest time between two queries for a robot's identity: somebody may repeat samples of a former run."""
 
-WITHOUT_GRANT: Final = ("viewer", "desk")
-"""Roles of machines that have a certificate, and no key that signs."""
-
-SIGN_AGAIN_NS: Final = 250_000_000
-"""A stop is signed again for the same robot after this time: a put may be lost."""
+WITHOUT_GRANT: Final = ("viewer", "desk")  # roles of machines that have a certificate, and no key that signs
+SIGN_AGAIN_NS: Final = 250_000_000  # a stop is signed again for the same robot after this time: a put may be lost
 
 
 class _Meeting:
@@ -112,7 +103,6 @@ class _Meeting:
 
 
 def robot_of(received: Received, root: str) -> str:
-    """The robot that the key of a sample or of a reply names."""
     return received.key.removeprefix(f"{root}/").partition("/")[0]
 
 
@@ -160,11 +150,9 @@ class LinkProof:
 
     @property
     def unmet(self) -> Unmet:
-        """The reason why the robot was not met."""
         return self._proof.unmet(self._robot) or SILENT
 
     def doubt(self, robot: str) -> Unmet:
-        """The reason for which an answer of this robot cannot be verified."""
         return self._proof.doubt(robot)
 
     def meet_again(self, commands: CommandPort) -> None:
@@ -192,11 +180,9 @@ class LinkProof:
         return self._proof.request(self._robot, verb, payload, self.challenge)
 
     def is_reply(self, received: Received, request: bytes) -> bool:
-        """Return True if it is the robot's reply to the request that had this attachment."""
         return self._proof.is_reply(self._robot, received, request)
 
     def believes(self, received: Received) -> bool:
-        """Return True if the sample may be believed."""
         return self._proof.believes(self._robot, received)
 
 
@@ -240,7 +226,6 @@ class StopProof:
             self._meeting.step(commands, b"" if self._signer is None else self._signer.statement, is_wanted=True)
 
     def doubt(self, robot: str) -> Unmet:
-        """The reason for which an answer of this robot cannot be verified."""
         return self._fault or (SILENT if self._robots is None else self._robots.doubt(robot))
 
     def sign(self, commands: CommandPort, robot: str, challenge: bytes) -> None:
@@ -262,7 +247,6 @@ class StopProof:
         return robots is not None and robots.is_reply(robot_of(received, self._root), received, request)
 
     def believes(self, received: Received) -> bool:
-        """Return True if the sample may be believed."""
         robots = self._robots
         return robots is not None and robots.believes(robot_of(received, self._root), received)
 

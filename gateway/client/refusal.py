@@ -13,21 +13,17 @@ from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import COMMANDING, Reply, SafetyEvent, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason, Text, cure_of, of_a_robot
 
-NEWER_S: Final = 1.0
-"""An event may be so much newer than the state that was seen last."""
-
+NEWER_S: Final = 1.0  # an event may be so much newer than the state that was seen last
 LOOK: Final = "Look at the robot, and use its button if it moves"
 """The sentence for whoever commanded a robot of which nobody knows whether it stands."""
 
 
 def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
-    """A reason for which this robot stands still, beside others."""
     text = of_a_robot(reason, beside)
     return Text(text.means, cure_of(text.cure, robot))
 
 
 def reason_line(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> str:
-    """A reason with what would cure it, beside others."""
     text = text_of(reason, robot, beside)
     cure = f" -> {text.cure}" if text.cure else ""
     return f"{reason.value}: {text.means}{cure}"
@@ -79,7 +75,6 @@ def _ms(time_s: float) -> str:
 
 
 def holder_line(state: SafetyState) -> str:
-    """Return the holder of the lease."""
     if not state.lease_holder:
         return "nobody holds the lease"
     holder = plain(state.lease_holder)
@@ -139,7 +134,6 @@ class Unreachable(CommandError):  # noqa: N818 - an outcome's name, as programs 
 
 
 def refused(robot: str, verb: str, reply: Reply, operator: str) -> Refused:
-    """A refusing reply to an operator as an exception."""
     detail = reply.detail
     if reply.reason is Reason.LEASE_HELD:
         own = f"another session of {operator} holds the lease; it "

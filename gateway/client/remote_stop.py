@@ -33,15 +33,9 @@ from schemas.reasons import Reason
 from schemas.settings import STANDSTILL_MPS, Settings
 from schemas.subjects import BY_VERB, STOP_VERB
 
-ROLL_REPEAT_S: Final = 0.5
-"""The period in which it is asked who is connected."""
-
-TIMEOUT_S: Final = 5.0
-"""So long an answer to that is waited for, before it is asked anew."""
-
-SETTLE_S: Final = 1.0
-"""The time after which no other robot is expected: nodes find each other by gossip in less."""
-
+ROLL_REPEAT_S: Final = 0.5  # the period in which it is asked who is connected
+TIMEOUT_S: Final = 5.0  # so long an answer to that is waited for, before it is asked anew
+SETTLE_S: Final = 1.0  # the time after which no other robot is expected: nodes find each other by gossip in less
 NAMES_SHOWN: Final = 10
 
 ROLL_POLL_S: Final = 0.02
@@ -103,15 +97,9 @@ def who_is_there(settings: Settings, robot: str) -> str:
 
 STOP: Final = BY_VERB[STOP_VERB]
 
-REPEAT_S: Final = 0.05
-"""The put is repeated this often."""
-
-AT_LEAST_S: Final = 0.3
-"""It is repeated for this long, whoever has answered."""
-
-ASK_S: Final = 0.25
-"""A query without any answer is put again after this time."""
-
+REPEAT_S: Final = 0.05  # the put is repeated this often
+AT_LEAST_S: Final = 0.3  # it is repeated for this long, whoever has answered
+ASK_S: Final = 0.25  # a query without any answer is put again after this time
 POLL_S: Final = 0.005
 
 REST_S: Final = 8.0
@@ -159,9 +147,7 @@ Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
 Look = Callable[[], Iterable[Seen | Missed]]
 """All that is believed of what robots have published since the last call, and where some of it may be missing."""
 
-Doubt = Callable[[str], Unmet]
-"""The reason for which an answer of a robot cannot be verified."""
-
+Doubt = Callable[[str], Unmet]  # the reason for which an answer of a robot cannot be verified
 Told = Callable[[StopReport], None]
 """Hears the report as soon as it is known, before the end of the stop sequences is waited for."""
 
@@ -284,7 +270,6 @@ class _Sight:
         self.rests = False
 
     def see(self, message: SafetyState | RobotState | PayloadFault, now_ns: int) -> None:
-        """It published this."""
         if isinstance(message, PayloadFault):
             self._unreadable = message.detail
             return
@@ -356,7 +341,6 @@ class _Stopping:
         )
 
     def step(self, now_s: float) -> None:
-        """Say it, and hear."""
         self._linked = self._linked or self._port.connected()
         if now_s - self._put_s >= REPEAT_S:
             self._put_s = now_s
@@ -372,7 +356,6 @@ class _Stopping:
         self.hear()
 
     def hear(self) -> None:
-        """Hear who answers, and who stands."""
         for number, question in self._questions:
             for received in question.poll():
                 self._hear(self._robot_in(received), received, number)
@@ -390,7 +373,6 @@ class _Stopping:
         return [name for name in robots if not self._sights[name].rests]
 
     def report(self) -> StopReport:
-        """Return who answered, and who did not."""
         stopped: list[str] = []
         refused: dict[str, str] = {}
         unconfirmed: dict[str, str] = {}

@@ -54,23 +54,12 @@ log = logging.getLogger(__name__)
 
 CONNECT_TIMEOUT_S: Final = 5.0
 
-ANSWER_TIMEOUT_S: Final = 3.0
-"""The slowest verb, clear_odometer, has its answer after 2 s."""
-
-ENGAGED_SEEN_S: Final = 1.0
-"""The time from the reply to engage until safety/state must agree."""
-
-ZERO_SEEN_S: Final = 1.0
-"""The time from a drive command of zero speed until safety/state must agree."""
-
-RESET_SEEN_S: Final = 1.0
-"""The same from the reply to reset."""
-
-RESET_AGAIN_S: Final = RESET_MIN_NS / 1e9 + 0.3
-"""For so long a reset that came too soon is asked for again."""
-
-AGAIN_S: Final = 0.05
-"""Pause before that."""
+ANSWER_TIMEOUT_S: Final = 3.0  # the slowest verb, clear_odometer, has its answer after 2 s
+ENGAGED_SEEN_S: Final = 1.0  # the time from the reply to engage until safety/state must agree
+ZERO_SEEN_S: Final = 1.0  # the time from a drive command of zero speed until safety/state must agree
+RESET_SEEN_S: Final = 1.0  # the same from the reply to reset
+RESET_AGAIN_S: Final = RESET_MIN_NS / 1e9 + 0.3  # for so long a reset that came too soon is asked for again
+AGAIN_S: Final = 0.05  # pause before that
 
 
 class Robot:

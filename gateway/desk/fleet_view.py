@@ -40,8 +40,7 @@ from schemas.subjects import BY_TYPE
 
 PERIOD_NS: Final = 200_000_000
 
-LENGTH: Final = 1500
-"""Points of a robot: five minutes."""
+LENGTH: Final = 1500  # points of a robot: five minutes
 
 FIELDS: Final = (
     *("asked_mps", "told_mps", "speed_mps", "limit_mps", "asked_deg", "told_deg", "angle_deg"),
@@ -63,7 +62,6 @@ class Histories:
         self._odometry: defaultdict[str, DeadReckoning] = defaultdict(lambda: DeadReckoning(CHASSIS.wheelbase_m))
 
     def add(self, report: RobotStatus, now_ns: int) -> None:
-        """Take in a robot as it is now."""
         state, safety = report.state, report.safety
         measured = (None, None) if state is None else (state.speed_mps, state.angle_deg)
         odometry = self._odometry[report.robot]
@@ -87,12 +85,10 @@ class Histories:
         self._newest_ns[report.robot] = now_ns
 
     def keep(self, robots: list[str]) -> None:
-        """Forget all but these."""
         for robot in self._points.keys() - set(robots):
             del self._points[robot], self._newest_ns[robot], self._odometry[robot]
 
     def of(self, robot: str, now_ns: int) -> DeskHistory:
-        """Return the points of a robot."""
         points = self._points.get(robot, array("f"))[-_KEPT:]
         age_s = (now_ns - self._newest_ns.get(robot, now_ns)) / 1e9
         return DeskHistory(
@@ -124,7 +120,6 @@ BUTTONS: Final = {
 
 
 def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
-    """Return a robot's row."""
     state, safety = report.state, report.safety
     word, reasons = word_of(report)
     return RobotRow(
@@ -143,7 +138,6 @@ def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
 
 
 def recorder_row(name: str, health: RecorderHealth) -> RecorderRow:
-    """Return a recorder's row."""
     return RecorderRow(
         name,
         health.state.value,
@@ -181,7 +175,6 @@ def _with_buttons(cure: str, robot: str) -> str:
 
 
 def _text_of(report: RobotStatus, word: str, reasons: list[Reason]) -> str:
-    """A robot's word in a sentence."""
     state, safety = report.state, report.safety
     if state is None:
         return alarm(report)
@@ -212,18 +205,12 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 2)
 
 
-SHOWN: Final = frozenset({Severity.WARNING, Severity.ERROR})
-"""The events of which the last is in a robot's row."""
-
-EVENTS_KEPT: Final = 50
-"""The last events of a robot, for who begins to look at it."""
-
+SHOWN: Final = frozenset({Severity.WARNING, Severity.ERROR})  # the events of which the last is in a robot's row
+EVENTS_KEPT: Final = 50  # the last events of a robot, for who begins to look at it
 EVENT_MAX_BYTES: Final = 4096
 """A larger event is of no gateway, and is passed over: a thousand robots' would fill the memory."""
 
-BOUNDS: Final = Bounds(robots=1000, recorders=200)
-"""The robots and recorders that are shown."""
-
+BOUNDS: Final = Bounds(robots=1000, recorders=200)  # the robots and recorders that are shown
 FULL_SHOWN_NS: Final = 10_000_000_000
 """For so long after a name for which there was no room it is said that not all are shown."""
 
@@ -306,7 +293,6 @@ class FleetView:
         return changed, recorders if is_other else None
 
     def shows(self, robot: str) -> bool:
-        """Return True if a robot has a row."""
         return robot in self._rows
 
     def all_rows(self) -> tuple[dict[str, RobotRow | None], list[RecorderRow]]:
@@ -314,7 +300,6 @@ class FleetView:
         return dict(self._rows), self._recorder_rows
 
     def report(self, robot: str, now_ns: int) -> RobotStatus:
-        """Return a robot as it is now."""
         return self._fleet.report(robot, now_ns)
 
     def why(self, robot: str, now_ns: int) -> DeskWhy | None:

@@ -293,8 +293,7 @@ encode: Final = msgspec.msgpack.Encoder().encode
 SAMPLES_WAITING: Final = 64
 """Samples of the robot that is shown closely; a second of them. Beyond it the oldest go."""
 
-WAITING: Final = 512
-"""Replies and all else that may wait; a browser that reads fewer is cut off."""
+WAITING: Final = 512  # replies and all else that may wait; a browser that reads fewer is cut off
 
 
 class BrowserOutbox:
