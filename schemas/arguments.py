@@ -42,14 +42,12 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_variant_argument(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the chassis's firmware."""
     parser.add_argument(
         "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
     )
 
 
 def seconds(text: str) -> float:
-    """A duration on the command line."""
     try:
         value = float(text)
     except ValueError:

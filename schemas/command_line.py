@@ -126,7 +126,6 @@ def gone_setting(key: str) -> str:
 
 
 def address(text: str) -> tuple[str, int]:
-    """An address on the command line."""
     host, _, port = text.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
     try:

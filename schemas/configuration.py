@@ -436,7 +436,6 @@ def _pairs(items: list[str], given: object) -> object:
 
 
 def _checked(given: Given) -> object:
-    """The value, if it is right."""
     setting, value = given.setting, given.value
     problem = _bad_text(value)
     if problem:

@@ -38,5 +38,4 @@ DBC_FILES: Final = {Variant.COARSE: "cruiser-coarse.dbc", Variant.FINE: "cruiser
 
 
 def dbc_text(variant: Variant) -> str:
-    """The text of a variant's DBC."""
     return Path(__file__).with_name(DBC_FILES[variant]).read_text(encoding="ascii")

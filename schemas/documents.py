@@ -57,9 +57,6 @@ _UNBOUNDED: Final = 2**53 - 1
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+\Z| (from )?[\d.-]+(?= or)| or null")
 """The parts of a type's description besides the type: bounds and null."""
 
-FIELDS_LISTED: Final = 7
-"""A message with more fields than this has them in its own section of docs/messages.md alone."""
-
 _COMMON_FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(Message))
 
 
@@ -80,20 +77,18 @@ def rewrite(text: str, parts: Mapping[str, Part]) -> str:
 
 
 def key_table() -> str:
-    """Every key: what it is, how often, quality of service, payload fields."""
+    """Every key: what it is, how often, quality of service, payload."""
     rows = [_key_row(subject) for subject in SUBJECTS]
     token = (f"`{LIVELINESS_CHUNK}`, a liveliness token", "connected; never proof of health", "", "", "none")
     common = " and ".join(f"`{name}`" for name in _COMMON_FIELDS)
     notes = (
         f"Every key begins with `{{root}}/{{robot}}/`; the robot is `{keys.ROBOT_PATTERN}`. Every payload is a "
-        f"MessagePack map, which also has {common}; the Zenoh encoding is `{SUBJECTS[0].encoding}`, and so on. A "
-        "field with a unit is a number."
+        f"MessagePack map, which also has {common}; the Zenoh encoding is `{SUBJECTS[0].encoding}`, and so on."
     )
     return f"{table(('key', 'what', 'rate', 'QoS', 'payload'), [*rows, token])}\n\n{notes}"
 
 
 def recorder_key_table() -> str:
-    """Every key of a recorder."""
     rows = [_key_row(subject) for subject in RECORDER_SUBJECTS]
     prefix = f"`{{root}}/{RECORDER_CHUNK}/{{recorder}}"
     notes = f"Every key begins with {prefix}/`; {prefix}` itself is a liveliness token."
@@ -106,7 +101,7 @@ def _key_row(subject: Subject) -> tuple[str, ...]:
         subject.about,
         subject.rate,
         "that of the query" if subject.pattern is Pattern.QUERIED else _qos(subject.qos),
-        f"{subject.type.__name__}: {_field_list(subject)}",
+        f"[{subject.type.__name__}](messages.md#{subject.type.__name__.lower()})",
     )
 
 
@@ -203,7 +198,6 @@ def _encodings(first: Verb[Any]) -> str:
 
 
 def request_tables() -> str:
-    """Every request and every reply with its fields."""
     lease = {"lease": json_schema.schema(BY_VERB["renew"].schema_name)["properties"]["lease"]}
     blocks = ["## Requests", "### In every request that wants the lease", field_table(lease, {})]
     for command in COMMANDS:
@@ -245,7 +239,6 @@ def recorder_command_tables() -> str:
 
 
 def reason_table() -> str:
-    """Every reason in words, and what would cure it."""
     rows = [(f"`{reason.value}`", text.means, text.cure) for reason, text in TEXTS.items()]
     return table(("reason", "it means", "what would cure it"), rows)
 
@@ -354,21 +347,11 @@ def _request_fields(command: Verb[Any]) -> str:
     )
 
 
-def _field_list(subject: Subject) -> str:
-    """The fields in one line: each with its unit, else with its type in a word; many fields are only counted."""
-    properties = json_schema.schema(subject.schema_name)["properties"]
-    fields = {name: part for name, part in properties.items() if name not in _COMMON_FIELDS}
-    if len(fields) > FIELDS_LISTED:
-        return f"{len(fields)} fields, in [messages.md](messages.md#{subject.type.__name__.lower()})"
-    return ", ".join(_in_a_word(name, part) for name, part in fields.items())
-
-
 def _in_a_word(name: str, part: dict[str, Any]) -> str:
     return f"`{name}` {part.get(UNIT_KEYWORD) or re.sub(_DETAILS, '', _type_words(part))}"
 
 
 def _type_words(part: dict[str, Any]) -> str:
-    """A JSON Schema type in words."""
     match part:
         case {"$ref": str(reference)}:
             return reference.rpartition("/")[2]
@@ -407,7 +390,6 @@ def _qos(qos: Qos) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 

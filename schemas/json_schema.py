@@ -52,7 +52,6 @@ def file_name(name: str) -> str:
 
 
 def schema(name: str) -> Schema:
-    """The JSON Schema of this name."""
     kind = KINDS[name]
     definitions = msgspec.json.schema(kind)["$defs"]
     within = {inner.__name__: inner for inner in classes(kind)}
@@ -160,7 +159,6 @@ def _sentence(text: str) -> str:
 
 
 def files() -> dict[str, str]:
-    """The text of every file by its name."""
     return {file_name(name): schema_text(name) for name in KINDS}
 
 

@@ -28,7 +28,6 @@ LONGEST: Final = 64
 
 
 def login_operator() -> str:
-    """The login name, made to fit."""
     try:
         login = getpass.getuser()
     except (KeyError, OSError):  # Nobody by this number is known, as in some containers.
@@ -73,7 +72,6 @@ class KeyParts(msgspec.Struct, frozen=True):
 
 
 def build(root: str, robot: str, subject: Subject, bus: str = "") -> str:
-    """The key of a subject of a robot."""
     _check("root", root, ROOT_PATTERN)
     _check("robot", robot, ROBOT_PATTERN)
     if ("{bus}" in subject.name) != bool(bus):

@@ -129,7 +129,6 @@ class Peers(Generic[Connection]):
         self._silent.pop(connection, None)
 
     def rests(self, connection: Connection) -> None:
-        """It has been answered."""
         if connection in self._peers:
             self._silent[connection] = None
 

@@ -82,7 +82,6 @@ class Subject(msgspec.Struct, frozen=True):
 
     @property
     def encoding(self) -> str:
-        """The Zenoh encoding of its samples: ``application/msgpack;cruiser.Gear/1``."""
         return f"application/msgpack;{self.schema_name}/{self.type.version}"
 
 
@@ -274,17 +273,14 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
 
     @property
     def encoding(self) -> str:
-        """The Zenoh encoding of the request."""
         return f"application/msgpack;{self.schema_name}/{self.request.version}"
 
     @property
     def reply_schema_name(self) -> str:
-        """The reply's schema: ``cruiser.LeaseReply``."""
         return f"{SCHEMA_PREFIX}.{self.reply.__name__}"
 
     @property
     def reply_encoding(self) -> str:
-        """The Zenoh encoding of the reply."""
         return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
 
 

@@ -76,7 +76,6 @@ Says = Callable[[str], bool]
 
 
 def nothing_said(_path: str) -> bool:
-    """There is no Zenoh configuration file."""
     return False
 
 
@@ -137,8 +136,8 @@ def said(settings: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice
 class Connected(Protocol):
     """The nodes that a session is connected to, as Zenoh names them."""
 
-    def peers_zid(self) -> Sequence[object]: ...  # noqa: D102
-    def routers_zid(self) -> Sequence[object]: ...  # noqa: D102
+    def peers_zid(self) -> Sequence[object]: ...
+    def routers_zid(self) -> Sequence[object]: ...
 
 
 def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
@@ -159,7 +158,6 @@ def split_endpoint(endpoint: str) -> tuple[str, str, int]:
 
 
 def with_port(endpoint: str, port: int) -> str:
-    """The endpoint with another port."""
     parts = _parts(endpoint)
     if port > _HIGHEST_PORT:
         raise ValueError(f"{endpoint} has the last port that there is")
@@ -255,7 +253,6 @@ def join(
 
 
 def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:
-    """Open a session with a configuration that is complete."""
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -288,7 +285,6 @@ def base_configuration(file: str) -> zenoh.Config:
 
 
 def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
-    """Set values of a configuration, by path."""
     for path, value in entries.items():
         try:
             config.insert_json5(path, json.dumps(value))

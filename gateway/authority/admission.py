@@ -96,7 +96,6 @@ class SignedAdmission:
         challenge_age_ns: Callable[[bytes, int], int | Reason],
         new_private_key: Callable[[], X25519PrivateKey] = X25519PrivateKey.generate,
     ) -> None:
-        """With no grant known and no lease given."""
         self.trust = trust
         self.lease: GivenLease | None = None
         self.now_s = 0
@@ -348,7 +347,6 @@ class StatementSieve(Generic[_Item]):
         admission: SignedAdmission,
         sample: Callable[[list[Any], int], list[Any]] = _CHANCE.sample,
     ) -> None:
-        """Nothing waits."""
         self._admission = admission
         self._sample = sample
         self._waiting: dict[StatementKind, list[_Item]] = {kind: [] for kind in StatementKind}

@@ -365,7 +365,6 @@ class EnrolmentRole(Enum):
 
     @property
     def transport(self) -> TransportRole:
-        """The role on the network."""
         return TransportRole(self.value)
 
     @property
@@ -524,7 +523,6 @@ def _has_signed(csr: str, signature: bytes, text: bytes) -> bool:
 
 
 def bundle_text(bundle: Bundle, private: Ed25519PrivateKey) -> bytes:
-    """The two lines of a bundle."""
     body = msgspec.json.encode(bundle)
     signature = private.sign(_signed(body)).hex()
     return body + f"\n{ALGORITHM} {private.public_key().public_bytes_raw().hex()} {signature}\n".encode()

@@ -82,7 +82,6 @@ class KnownRobots:
     statement = b""
 
     def __init__(self, trust: Trust, root: str, now_s: Callable[[], int]) -> None:
-        """No robot is met yet."""
         self._trust = trust
         self._root = root
         self._now_s = now_s
@@ -150,7 +149,6 @@ class KnownRobots:
         return None
 
     def has_met(self, robot: str) -> bool:
-        """The key of this robot is known."""
         return robot in self._robots
 
     def is_to_meet_again(self, robot: str) -> bool:
@@ -221,7 +219,6 @@ class OperatorProof(KnownRobots):
         now_s: Callable[[], int],
         nonce: Callable[[int], bytes] = secrets.token_bytes,
     ) -> None:
-        """No robot is met yet."""
         super().__init__(trust, root, now_s)
         grant = chain[0].statement
         self.name = grant.name if isinstance(grant, Grant) else ""
@@ -286,7 +283,6 @@ class ViewerProof(KnownRobots):
         return False
 
     def drive(self, _payload: bytes) -> bytes:
-        """The attachment of a drive command: empty."""
         return b""
 
 

@@ -88,7 +88,6 @@ class NameProof:
         admission: SignedAdmission,
         own: Callable[[], list[Signed]],
     ) -> None:
-        """For the robot that the settings name."""
         self._robot = settings.robot.name
         self._key = keys.build(settings.robot.root, settings.robot.name, _INFO)
         self._signer = signer
@@ -221,7 +220,6 @@ class RobotAuthority:
         own: list[Signed],
         kept: Kept,
     ) -> None:
-        """As it was kept."""
         self.admission = admission
         self.signer = signer
         self.self_test = self.unsaved = ""

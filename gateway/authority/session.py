@@ -46,7 +46,6 @@ class DriveTags:
     """Makes and checks the tags of one lease: of its drive commands, and of its holder's verbs."""
 
     def __init__(self, key: bytes, lease: int, expression: str, encoding: str) -> None:
-        """For the commands of one lease."""
         # All before the payload is the same in each command, so the state of the hash after it is kept.
         before = DriveProof(lease).signed(expression, encoding, b"")[:-_LENGTH_BYTES]
         self.lease = lease
@@ -70,7 +69,6 @@ class DriveTags:
         return hmac.compare_digest(tag, self.verb_tag(text))
 
     def attachment(self, payload: bytes) -> bytes:
-        """The attachment that goes with a command."""
         return DriveProof(self.lease, self.tag(payload)).attachment()
 
     def fits(self, attachment: bytes, payload: bytes) -> bool:
@@ -90,7 +88,6 @@ class RobotSigner:
     """
 
     def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
-        """Sign for one run."""
         self.boot = boot
         self.public_key = private.public_key().public_bytes_raw()
         self._private = private
@@ -101,7 +98,6 @@ class RobotSigner:
         return self._proof(self._unsigned.signed_reply(key, encoding, payload, request))
 
     def publication(self, key: str, encoding: str, payload: bytes) -> bytes:
-        """The attachment of a published sample."""
         return self._proof(self._unsigned.signed_publication(key, encoding, payload))
 
     def _proof(self, text: bytes) -> bytes:

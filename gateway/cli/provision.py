@@ -81,7 +81,6 @@ _FOR_ALL: Final = {"robots"}
 
 
 def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags that ``wanted_grant`` reads."""
     grant = parser.add_argument_group(
         "grant", "what is not said is as in the last grant of the same key, or usual"
     )
@@ -140,7 +139,6 @@ def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, 
 
 
 def grant_line(grant: Grant) -> str:
-    """A grant, for people."""
     limit = "" if grant.speed_limit_mps is None else f", at most {grant.speed_limit_mps:g} m/s"
     override = ", may override" if grant.override else ""
     verbs = "all" if set(grant.verbs) >= set(ROBOT_VERBS) else ", ".join(grant.verbs)
@@ -183,7 +181,6 @@ def _times(unit_s: int) -> Callable[[str], float]:
 
 
 def _number(text: str, most: float, otherwise: str) -> float:
-    """A number above 0 and not above ``most``."""
     try:
         value = float(text)
     except ValueError:
@@ -330,7 +327,6 @@ ABOUT: Final = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the actions and their flags."""
     actions = parser.add_subparsers(title="actions", dest="action", metavar="ACTION", required=True)
 
     def add(name: str, about: str) -> argparse.ArgumentParser:
@@ -361,7 +357,6 @@ def _add_replace(action: argparse.ArgumentParser) -> None:
 
 
 def _add_makers(add: Add) -> None:
-    """Add the actions that make keys."""
     standby = add("standby", "the key that replaces a lost or stolen authority; made first, kept elsewhere")
     _add_replace(standby)
     _add_passphrase(standby, makes_keys=True)
@@ -393,7 +388,6 @@ def _add_makers(add: Add) -> None:
 
 
 def _add_signers(add: Add) -> None:
-    """Add the actions that admit applicants."""
     sign = add("sign", "let somebody in, at the authority: a bundle answers the request")
     sign.add_argument("request", metavar="REQUEST", help="the file")
     sign.add_argument("--fingerprint", metavar="F", help="refuse a request of another one")
@@ -408,7 +402,6 @@ def _add_signers(add: Add) -> None:
 
 
 def _add_statements(add: Add) -> None:
-    """Add the actions that send statements to robots."""
     revoke = add("revoke", "end grants at once: a list of all that is revoked, for the robots")
     revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holders, as in {ISSUED_FILE}")
     revoke.add_argument(
@@ -441,7 +434,6 @@ def _add_statements(add: Add) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> int:
-    """Do it."""
     passphrase = Passphrase(
         getattr(arguments, "passphrase_file", None), is_wanted=not getattr(arguments, "no_passphrase", False)
     )

@@ -112,12 +112,10 @@ class Answers(msgspec.Struct, frozen=True):
 
     @property
     def is_signed(self) -> bool:
-        """The robot has keys of its own."""
         return "gateway" in self.keys
 
     @property
     def is_kernels(self) -> bool:
-        """The bus is an interface of the kernel's."""
         return self.interface == "socketcan"
 
     @property
@@ -235,7 +233,6 @@ NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.description = (
         "Asks what it must; then writes settings, installs bundles of the authority, and starts the services, "
         "unless somebody drives the robot. It prints each step, and ends with what 'cruiser doctor' says. It "
@@ -293,7 +290,6 @@ class Machine:
         self._program = program
 
     def path(self, name: str) -> Path:
-        """Where a file is."""
         return self._root / name.lstrip("/")
 
     def write(self, name: str, text: str) -> None:
@@ -323,7 +319,6 @@ class Machine:
 
 
 def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[], bool]) -> ExitCode:
-    """Set a machine up; see ``run``."""
     bundles = _bundles(arguments.bundle or ())
     _compare(arguments, machine, bundles)
     file = machine.path(CONFIGURATION)
@@ -353,8 +348,6 @@ def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[]
 def _answers(
     arguments: argparse.Namespace, machine: Machine, before: Settings, bundles: Iterable[Bundle]
 ) -> Answers:
-    """The answers: from flags, from the person, or found."""
-
     def ask(question: str, default: str, given: str | None, check: Callable[[str], object] = str) -> str:
         if given is None and not arguments.defaults:
             return _ask(f"{question} [{default}]: ", default, check)
@@ -397,7 +390,6 @@ def _answers(
 
 
 def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
-    """The person's answer."""
     if not sys.stdin.isatty():
         raise CommandError("there is no terminal to ask: --defaults asks nothing", ExitCode.USAGE)
     while True:
@@ -454,7 +446,6 @@ def _refuse_where_driven(
 
 
 def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
-    """The bundles that were named, by their files."""
     bundles = {}
     for file in map(Path, files):
         name = plain(str(file))
@@ -523,6 +514,5 @@ def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> 
 
 
 def say(line: str) -> None:
-    """Print a line at once."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()

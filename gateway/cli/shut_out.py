@@ -102,7 +102,6 @@ def _again(error: SessionError, zenoh: ZenohSettings) -> SessionError | None:
 
 
 def wait(time_s: float, ends: Callable[[], bool]) -> None:
-    """Wait so long, or until the end."""
     deadline_s = time.monotonic() + time_s
     while time.monotonic() < deadline_s and not ends():
         time.sleep(POLL_S)

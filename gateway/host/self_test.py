@@ -137,7 +137,6 @@ def _ring() -> zenoh.handlers.RingChannel[Any]:
 
 
 def _come(declared: Any) -> Iterator[Any]:  # noqa: ANN401 - a subscriber or queryable of Zenoh's
-    """Take what has come."""
     while (one := declared.try_recv()) is not None:
         yield one
 

@@ -58,7 +58,6 @@ class AuthorityNote:
 
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The file of the robot that the settings name."""
         return cls(note_path(settings, environment))
 
     def read(self) -> Kept | str:
@@ -124,7 +123,6 @@ class SignedMode:
     """
 
     def __init__(self, settings: Settings, core: Core) -> None:
-        """Read the keys."""
         directory = directory_of(settings.authority)
         identity = read_identity(directory, "robot")
         self.certificate_ends_s = certificate_ends_s(settings.zenoh)
@@ -177,7 +175,6 @@ class SignedMode:
         self._note.save(kept)
 
     def close(self) -> None:
-        """Wait for what is being saved."""
         self._note.close()
 
 

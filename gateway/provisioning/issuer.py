@@ -157,7 +157,6 @@ def _shared(bundle: Bundle) -> dict[str, str]:
 
 
 def tls_key_name(role: EnrolmentRole) -> str:
-    """The file of the key of its certificate."""
     return TLS_KEY_FILE.format(who=role.value)
 
 
@@ -337,7 +336,6 @@ class Issuer:
 
     @classmethod
     def open(cls, store: KeyStore) -> Self:
-        """The authority whose keys are here."""
         if not store.has(AUTHORITY_KEY):
             raise CommandError(
                 f"no authority's key is in {store.directory}: --directory says where it is", ExitCode.USAGE
@@ -346,17 +344,14 @@ class Issuer:
 
     @property
     def authority(self) -> AuthorityKeys:
-        """The fleet's authority."""
         return self.store.read_as(AUTHORITY_FILE, AuthorityKeys, _AUTHORITY_CURE)
 
     @property
     def fleet(self) -> FleetPlace:
-        """The fleet's place on Zenoh."""
         return self.store.read_as(FLEET_FILE, FleetPlace, _AUTHORITY_CURE)
 
     @property
     def ca(self) -> str:
-        """The network's authority, PEM."""
         return self.store.read(CA_FILE, _AUTHORITY_CURE).decode()
 
     @property
@@ -564,19 +559,16 @@ def rotate(store: KeyStore, authority: AuthorityKeys, now_s: int) -> Signed:
 
 
 def state(private: Ed25519PrivateKey, statement: Statement) -> Signed:
-    """A statement, signed."""
     body = body_of(statement)
     signature = private.sign(signed_bytes(ProofKind.STATEMENT, body))
     return Signed(body, private.public_key().public_bytes_raw(), signature, statement)
 
 
 def serials_of(store: KeyStore) -> Serials:
-    """The last numbers that were given."""
     if not store.has(SERIALS_FILE):
         return Serials()
     return store.read_as(SERIALS_FILE, Serials, "numbers must not go back: restore it from a copy")
 
 
 def save_serials(store: KeyStore, serials: Serials) -> None:
-    """Keep the numbers."""
     store.write({SERIALS_FILE: msgspec.json.encode(serials).decode() + "\n"}, replace=True)

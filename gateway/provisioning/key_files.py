@@ -158,12 +158,10 @@ def _is_signer(above: x509.Certificate, below: x509.Certificate) -> bool:
 
 
 def begins_s(certificate: x509.Certificate) -> int:
-    """The beginning of a certificate, seconds since 1970."""
     return int(certificate.not_valid_before_utc.timestamp())
 
 
 def expires_s(certificate: x509.Certificate) -> int:
-    """The end of a certificate, seconds since 1970."""
     return int(certificate.not_valid_after_utc.timestamp())
 
 
@@ -307,7 +305,6 @@ class Passphrase:
         self._known: bytes | None = None
 
     def new(self) -> KeySerializationEncryption:
-        """Return the encryption for new keys."""
         if not self._is_wanted:
             return NoEncryption()
         if self._known is None:
@@ -351,11 +348,9 @@ class KeyStore:
         self._passphrase = passphrase or Passphrase()
 
     def path(self, name: str) -> Path:
-        """Return the path of a file."""
         return self.directory / name
 
     def has(self, name: str) -> bool:
-        """Return True if the file is there."""
         return os.path.lexists(self.path(name))
 
     def write(
@@ -374,7 +369,6 @@ class KeyStore:
             write_file(self.path(name), text, FOR_ALL if name in PUBLIC else OWNERS, replace=replace)
 
     def append(self, name: str, line: str) -> None:
-        """Add a line to a file."""
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW
         try:
             with os.fdopen(os.open(self.path(name), flags, 0o600), "w", encoding="utf-8") as file:
@@ -383,11 +377,9 @@ class KeyStore:
             raise CommandError(f"{plain(str(self.path(name)))} cannot be written: {error.strerror}") from error
 
     def read(self, name: str, cure: str) -> bytes:
-        """The content of a file."""
         return read_input(self.path(name), cure)
 
     def read_as(self, name: str, kind: type[_T], cure: str) -> _T:
-        """A JSON file."""
         try:
             return msgspec.json.decode(self.read(name, cure), type=kind)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
@@ -396,7 +388,6 @@ class KeyStore:
             ) from error
 
     def chain(self, name: str, cure: str) -> list[Signed]:
-        """A file of statements."""
         chain = read_chain(self.read(name, cure))
         if isinstance(chain, StatementFault):
             raise CommandError(
@@ -410,14 +401,12 @@ class KeyStore:
         return private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption).decode()
 
     def ed25519(self, name: str, cure: str) -> Ed25519PrivateKey:
-        """A key that signs statements and requests."""
         key = self._key(name, cure)
         if not isinstance(key, Ed25519PrivateKey):
             raise self._other_kind(name, cure)
         return key
 
     def p256(self, name: str, cure: str) -> EllipticCurvePrivateKey:
-        """A key of a certificate."""
         key = self._key(name, cure)
         if not isinstance(key, EllipticCurvePrivateKey):
             raise self._other_kind(name, cure)
@@ -446,7 +435,6 @@ class KeyStore:
 
 
 def read_input(path: Path, cure: str = "") -> bytes:
-    """The content of a file."""
     return find(path, cure).content
 
 

@@ -101,7 +101,6 @@ class RequestProof(msgspec.Struct, frozen=True):
         return cls(grant, challenge, nonce, signature, tag)
 
     def attachment(self) -> bytes:
-        """The bytes that go with the request."""
         return _REQUEST.pack(VERSION, self.grant, self.challenge, self.nonce, self.signature) + self.tag
 
     def signed(self, key: str, encoding: str, payload: bytes) -> bytes:
@@ -113,7 +112,6 @@ class RequestProof(msgspec.Struct, frozen=True):
 def prove_request(
     private: Ed25519PrivateKey, proof: RequestProof, key: str, encoding: str, payload: bytes
 ) -> bytes:
-    """The attachment of a request, signed."""
     signature = private.sign(proof.signed(key, encoding, payload))
     return msgspec.structs.replace(proof, signature=signature).attachment()
 
@@ -140,7 +138,6 @@ class DriveProof(msgspec.Struct, frozen=True):
         return cls(*_DRIVE.unpack(attachment)[1:])
 
     def attachment(self) -> bytes:
-        """The bytes that go with the command."""
         return _DRIVE.pack(VERSION, self.lease, self.tag)
 
     def signed(self, key: str, encoding: str, payload: bytes) -> bytes:
@@ -322,7 +319,6 @@ class Signed(msgspec.Struct, frozen=True):
 
     @property
     def signed(self) -> bytes:
-        """The text under the signature."""
         return signed_bytes(ProofKind.STATEMENT, self.body)
 
     def text(self) -> str:

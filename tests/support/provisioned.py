@@ -23,6 +23,7 @@ def provision(directory: Path, who: str, party: Party, fleet: Fleet) -> Path:
 
 def write_authority(directory: Path, fleet: Fleet) -> Path:
     """The fleet's ``authority.json`` in a directory; that directory."""
+    directory.mkdir(exist_ok=True)
     said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
     (directory / "authority.json").write_text(json.dumps(said))
     return directory

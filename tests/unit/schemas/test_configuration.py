@@ -13,7 +13,6 @@ from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode
 from schemas.configuration import (
     SETTINGS,
     TomlSource,
-    line_of,
     merge,
     to_toml,
     write_key,
@@ -315,31 +314,6 @@ def test_what_is_no_profile_of_an_interface_is_an_error(wrong: str) -> None:
 SCALARS = TEXTS | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.booleans()
 VALUES = SCALARS | st.lists(SCALARS) | st.dictionaries(TEXTS, SCALARS)
 
-DOCUMENT = '''\
-# a comment with [brackets] and = signs
-top = 1
-dotted.key = 2
-
-[table]   # and a comment
-"quoted name" = 'x'
-many = [
-    1,  # key = 3
-    2,
-]
-inline = { a = 1, "b c" = 2 }
-text = """
-[not.a.table]
-not_a_key = 1
-"""
-
-[ table . inner ]
-deep = true
-[[array]]
-first = 1
-[[array]]
-second = 2
-'''
-
 
 @given(value=VALUES)
 def test_a_written_value_reads_back_equal(value: object) -> None:
@@ -351,23 +325,3 @@ def test_a_written_value_reads_back_equal(value: object) -> None:
 def test_a_written_key_reads_back_equal(key: str) -> None:
     """A key that is not bare is quoted, so that every text can be a key."""
     assert tomllib.loads(f"{write_key(key)} = 1") == {key: 1}
-
-
-@pytest.mark.parametrize(
-    ("table", "key", "line"),
-    [
-        ("table", "", 5),
-        ("table", "quoted name", 6),
-        ("table", "many", 7),
-        ("table", "a", 5),
-        ("table.inner", "deep", 18),
-        ("dotted", "key", 3),
-        ("top", "", 2),
-        ("array", "second", 22),
-        ("nowhere", "x", 0),
-    ],
-)
-def test_a_key_has_its_line(table: str, key: str, line: int) -> None:
-    """Or that of its table, where it is written otherwise; whatever the line ends."""
-    for text in (DOCUMENT, DOCUMENT.replace("\n", "\r\n")):
-        assert line_of(text, table, key) == line

@@ -22,7 +22,7 @@ from tests.support import provisioning
 from tests.support.commands import parsed
 from tests.support.fakes.peer import free_endpoint
 from tests.support.messages import HEALTH, STATE
-from tests.support.processes.gateway import Running, chassis, gateway, run
+from tests.support.processes.gateway import Running, chassis, gateway
 from tests.support.provisioning import ProvisionedFleet
 
 TOML = "/etc/cruiser/cruiser.toml"
@@ -212,27 +212,6 @@ def test_a_bundle_is_a_file_of_roots_or_of_who_asks(
         set_up(systemd.machine(), *words)
 
 
-@pytest.mark.parametrize(
-    ("channel", "says"),
-    [("", "bus_silent: "), ("127.0.0.1:1", "bus_unreachable: ")],
-)
-def test_what_is_wrong_with_the_bus_is_what_doctor_says_at_the_end(
-    bus: str,
-    systemd: FakeSystemd,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    channel: str,
-    says: str,
-) -> None:
-    """With its cure, and exit code 1; after it setup is run again."""
-    monkeypatch.setattr(setup, "READY_S", 0.0)
-    monkeypatch.setattr(systemd, "_start", lambda _: None)
-    assert run(["fault", "--sim", bus, "silence", "all"]).returncode == 0
-    assert set_up(systemd.machine(), *of(channel or bus)) is ExitCode.FAILURE
-    assert says in capsys.readouterr().out
-    assert (systemd.root / TOML[1:]).exists()
-
-
 def test_without_systemd_the_settings_are_written(
     systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,33 +264,6 @@ replace = msgspec.structs.replace
 FEEDBACK = [replace(HEALTH.feedback[0], name=name) for name in ChassisSettings().required_feedback]
 WELL_HEALTH = replace(HEALTH, feedback=FEEDBACK)
 CHASSIS = BusReport("", WELL_HEALTH, replace(STATE, speed_mps=0.0))
-
-
-def test_networkd_brings_the_interface_up_and_what_fails_is_said(
-    systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The services are started all the same."""
-    bring_up(systemd)
-    monkeypatch.setattr(setup, "listen", lambda *_: CHASSIS)
-    monkeypatch.setattr(setup, "READY_S", 0.0)
-    programs: list[str] = []
-
-    def program(words: Sequence[str]) -> str:
-        programs.append(" ".join(words))
-        return "systemd-networkd is not running" if words[0] == "networkctl" else ""
-
-    systemd.machine()
-    set_up(Machine(systemd.root, program), "--defaults")
-    assert programs[:4] == [
-        "systemctl daemon-reload",
-        "systemctl enable --now systemd-networkd.service",
-        "networkctl reload",
-        "networkctl reconfigure can0",
-    ]
-    assert "systemctl restart cruiser-gateway.service" in programs
-    assert "'networkctl reload' failed: systemd-networkd is not running" in capsys.readouterr().out
-    network = systemd.root / "etc/systemd/network/80-cruiser-can0.network"
-    assert "BitRate=500000" in network.read_text()
 
 
 @pytest.mark.parametrize(

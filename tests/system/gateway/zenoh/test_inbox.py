@@ -276,19 +276,6 @@ def test_an_operator_of_another_form_has_no_name(bench: Bench, operator: str) ->
     assert [key for key, _, _ in replies(asked)] == [f"{ROBOT}{operator}/acquire"]
 
 
-def test_a_query_whose_asker_has_gone_costs_nothing(bench: Bench) -> None:
-    """The reply goes nowhere, and the next one is answered."""
-    gone = open_session(ZenohSettings(mode="client"), [bench.endpoint], [])
-    gone.get(f"{ROBOT}first/acquire", zenoh.handlers.RingChannel(1), timeout=5)
-    (request,) = bench.wait_for(1)
-    close_session(gone)
-    bench.answer([request])
-    bench.got.clear()
-    asked = bench.ask(f"{ROBOT}berta/acquire")
-    bench.answer(bench.wait_for(1))
-    assert [payload for _, payload, _ in replies(asked)] == [b"yes"]
-
-
 ANY_VERB = [
     f"{ROBOT}first/*",
     f"{ROBOT}*/*",
@@ -362,20 +349,6 @@ def reach_from(session: zenoh.Session, inbox: CommandInbox) -> None:
     """Put until it arrives, and close the session."""
     wait_until(lambda: bool(inbox.drain("")), lambda: session.put(f"{ROBOT}first/drive", b""))
     close_session(session)
-
-
-def test_the_gateways_own_session_is_nobody_who_is_connected() -> None:
-    """A gateway that is alone says so, although its session for commands is a node beside that for telemetry."""
-    settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
-    node, place = open_node(settings)
-    with closing(node), closing(open_inbox(settings, place)) as inbox:
-        wait_until(lambda: node.peers() == 1)
-        node.disregard(inbox.node)
-        assert node.peers() == 0
-        other = open_session(ZenohSettings(), settings.zenoh.listen, [])
-        wait_until(lambda: node.peers() == 1)
-        close_session(other)
-        wait_until(lambda: node.peers() == 0)
 
 
 def test_a_port_for_commands_that_is_taken_is_told() -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import pytest
 import zenoh
@@ -12,8 +10,8 @@ from zenoh import ext
 
 from gateway.zenoh import inbox as late_node
 from gateway.zenoh.client import PendingQuery, open_local_router
-from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
-from gateway.zenoh.node import ZenohNode, client_place, open_node
+from gateway.zenoh.inbox import Joined, LateInbox, LateNode, open_inbox
+from gateway.zenoh.node import client_place, open_node
 from schemas.codec import Sample
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import KEPT_FIRST
@@ -86,47 +84,3 @@ def test_what_is_kept_waits_for_the_router() -> None:
         node.close()
         close_session(peer)
         router.close()
-
-
-class Sessions:
-    """Sessions whose end is noted."""
-
-    def __init__(self) -> None:
-        self.closed: list[str] = []
-
-    def pair(self) -> Joined:
-        return cast("ZenohNode", _Closing(self.closed, "node")), cast(
-            "CommandInbox", _Closing(self.closed, "inbox")
-        )
-
-
-class _Closing:
-    def __init__(self, closed: list[str], name: str) -> None:
-        self.close: Callable[[], Any] = lambda: closed.append(name)
-
-
-def test_sessions_that_nobody_took_over_are_closed() -> None:
-    """The gateway ended before its loop came round."""
-    sessions = Sessions()
-    node = LateNode(sessions.pair, LateInbox(), CAUSE)
-    wait_until(lambda: node._joined is not None)
-    node.close()
-    assert sessions.closed == ["inbox", "node"]
-
-
-def test_the_end_waits_for_no_attempt_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it opens after all is closed."""
-    monkeypatch.setattr(late_node, "CLOSE_TIMEOUT_S", 0.01)
-    sessions, begun, answered = Sessions(), threading.Event(), threading.Event()
-
-    def join() -> Joined:
-        begun.set()
-        answered.wait(30)
-        return sessions.pair()
-
-    node = LateNode(join, LateInbox(), CAUSE)
-    begun.wait(30)
-    node.close()
-    assert sessions.closed == []
-    answered.set()
-    wait_until(lambda: sessions.closed == ["inbox", "node"])

@@ -8,6 +8,7 @@ import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Self
 
 import msgspec
 import pytest
@@ -15,14 +16,20 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from gateway.authority.enrolment import EnrolmentRole, bundle_text, new_request, read_request
+from gateway.command.rulings import RawRequest
 from gateway.provisioning.issuer import Issuer, Wanted, ask_again
 from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates
+from gateway.telemetry.samples import Received
+from gateway.zenoh.operator import StatementPort
 from schemas.authority.key_files import read_identity
-from schemas.authority.proof import GrantRole, Revocations, Signed
+from schemas.authority.proof import GrantRole, Revocations, Signed, chain_text
 from schemas.authority.trust import HeldGrant, Objection, Trust, key_fingerprint, keys_fingerprint
 from schemas.command_line import CommandError, ExitCode
 from schemas.reasons import Reason
 from schemas.requests import Role
+from schemas.subjects import STATEMENT_REPLY_ENCODING
+from tests.support.authority import NOW_S, AuthorityBench, Fleet
+from tests.support.provisioned import write_authority
 from tests.support.provisioning import ENDPOINT, ProvisionedFleet, bundle_of, chain, run
 
 DAY_S = 86_400
@@ -535,3 +542,76 @@ def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -
     request = fleet.request("viewer", "hall")
     text = refused("sign", request, "--directory", fleet.authority, "--speed-limit", "1", "--override")
     assert text == "--override, --speed-limit: nothing of that is for a viewer"
+
+
+# Robots that are shown a statement.
+
+
+class FakePort:
+    """Where a robot's authority answers at once, without a network.
+
+    Attributes:
+        kept: the question that it answers in place of any other.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self.bench = AuthorityBench(fleet)
+        self.kept = b""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def robots(self, _timeout_s: float) -> list[str]:
+        return ["cruiser-1"]
+
+    def show(self, robot: str, text: bytes, question: bytes, _timeout_s: float) -> Received | None:
+        if robot != "cruiser-1":
+            return None
+        raw = RawRequest(1, "", "", text, len(text), attachment=self.kept or question)
+        reply = self.bench.authority.receive(raw, self.bench.now_ns)
+        return Received("fleet/cruiser-1/@auth", STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
+
+
+@pytest.fixture
+def port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakePort:
+    """A robot of a fleet whose authority is known in the directory of ann."""
+    found = FakePort(Fleet())
+    write_authority(tmp_path / "ann", found.bench.fleet)
+    monkeypatch.setattr(StatementPort, "open", lambda _: found)
+    monkeypatch.setattr(time, "time", lambda: float(NOW_S))
+    return found
+
+
+def shown(text: str, *robots: str) -> int:
+    """The exit code, after these robots, or all, were shown a statement."""
+    (file := Path("one.statement")).write_text(text)
+    whom = [word for robot in robots for word in ("--robot", robot)] or ["--all"]
+    return run("show", file, *whom, "--directory", "ann")
+
+
+def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pytest.CaptureFixture[str]) -> None:
+    """Taken over; known already; refused, with the cure; no answer: each with its exit code."""
+    fleet = port.bench.fleet
+    ann = fleet.operator()
+    revoked = fleet.authority.revoke(1, keys=(ann.key,)).text()
+    for text, robots, code, says in (
+        (chain_text(ann.chain), (), ExitCode.OK, "cruiser-1: taken over"),
+        (revoked, (), ExitCode.OK, "cruiser-1: taken over"),
+        (revoked, (), ExitCode.OK, "cruiser-1: has it, or a newer one (the same was"),
+        (chain_text(ann.chain), (), ExitCode.REFUSED, "cruiser-1: refused: the grant was revoked; by list 1; ask"),
+        (revoked, ("cruiser-9",), ExitCode.UNREACHABLE, "cruiser-9: does not answer"),
+        (revoked, ("cruiser-1", "cruiser-9"), ExitCode.PARTIAL, "cruiser-1: has it"),
+        (Fleet().authority.revoke(9).text(), (), ExitCode.REFUSED, "cruiser-1: refused: the signature"),
+    ):
+        assert shown(text, *robots) == code
+        assert capsys.readouterr().out.startswith(says)
+
+
+def test_an_answer_of_before_is_not_believed(port: FakePort, capsys: pytest.CaptureFixture[str]) -> None:
+    """Else whoever keeps a revocation from a robot would let it seem to have it."""
+    port.kept = b"asked yesterday."
+    assert shown(port.bench.fleet.authority.revoke(1).text()) == ExitCode.FAILURE
+    assert capsys.readouterr().out.startswith("cruiser-1: yes, and the answer is not proven")
