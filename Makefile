@@ -12,7 +12,7 @@ STAMP := $(VENV)/installed
 # Tools that the product's environment shall not have: fuzzer, mutation testing, bill of materials, the maker of constraints.
 TOOLS := .venv-tools/bin
 
-.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image test-cluster lint types architecture reach generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb clean
+.PHONY: help install demo demo-fleet demo-desk test test-unit test-system nightly test-socketcan test-robot metrics-rules readers clients drive-clients zenohd test-zenohd store-server test-store test-image test-cluster lint types architecture reach generate pictures bench bench-short bench-recorder bench-review mutation fuzz constraints sbom deb release clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -196,6 +196,15 @@ sbom: .venv-tools/installed  ## what an installation consists of, as CycloneDX: 
 deb: $(STAMP)  ## Debian packages, for Debian 12 and 13 and Ubuntu 24.04, amd64 and arm64: build/deb
 	$(BIN)/python deploy/deb.py $(if $(RELEASE),--release $(RELEASE)) $(if $(ARCHITECTURE),--architecture $(ARCHITECTURE))
 	$(BIN)/python -m pytest tests/debian
+
+VERSION = $(shell sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml)
+release: deb sbom  ## a release into dist: wheel, source, Debian packages, bill of materials, notes, checksums; tried
+	rm -rf dist
+	$(BIN)/python -m hatchling build --directory dist
+	cp build/deb/cruiser-gateway_$(VERSION)-*.deb build/sbom.json dist
+	awk '/^## /{on = index($$2, "[$(VERSION)]")} on' CHANGELOG.md > dist/NOTES.md
+	cd dist && sha256sum * > SHA256SUMS
+	$(BIN)/python -m pytest tests/release
 
 # Only what has the hash that is written down here, and nothing that would have to be built. The project itself has no
 # hash: it brings no package along, and what builds it is among those with one.
