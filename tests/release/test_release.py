@@ -20,7 +20,8 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 def test_it_is_complete_and_of_one_version() -> None:
     """Wheel, source, packages, bill of materials and notes, each with its checksum."""
-    sums = dict(reversed(line.split("  ")) for line in (DIST / "SHA256SUMS").read_text("ascii").splitlines())
+    lines = (DIST / "SHA256SUMS").read_text("ascii").splitlines()
+    sums = {name: sum_ for sum_, name in (line.split("  ") for line in lines)}
     releases = [
         f"1~{name}_{machine}" for name in ("deb12", "deb13", "ubuntu24.04") for machine in ("amd64", "arm64")
     ]
