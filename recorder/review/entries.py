@@ -273,18 +273,17 @@ class Risen(msgspec.Struct, frozen=True):
 
     Attributes:
         what: alike ones have the same.
-        count: so many since the health before.
         about: the feedback frames that it is about; empty if it is about none.
         is_end: the end of something, which is known to be over at this health. Else it began, at an unknown time,
             behind the health before.
     """
 
     what: str
-    kind: EntryKind
-    severity: Severity
     text: str
     count: int = 1
     about: tuple[str, ...] = ()
+    severity: Severity = Severity.WARNING
+    kind: EntryKind = EntryKind.FAULT
     is_end: bool = False
 
 
@@ -294,32 +293,21 @@ def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     Without one before, of the same run, these are the faults of now.
     """
     yield from _bus(before, now)
-    yield from _failures(before, now)
+    # Of all frames together, since a cable that is pulled out silences all of them.
+    were = {} if before is None else {frame.name: frame.failures for frame in before.feedback}
+    new, over = dict[str, list[str]](), dict[str, list[str]]()
+    for frame in now.feedback:
+        was, are = set(were.get(frame.name, ())), set(frame.failures)
+        for found, failures in ((new, are - was), (over, was - are)):
+            for failure in sorted(failures):
+                found.setdefault(failure, []).append(frame.name)
+    for failure, names in new.items():
+        yield Risen(failure, FAILURES_IN_WORDS.get(failure, failure), len(names), tuple(names))
+    for failure, names in over.items():
+        text = f"no longer at fault ({failure})"
+        yield Risen(f"{failure} over", text, len(names), tuple(names), Severity.INFO, is_end=True)
     if before is not None:
         yield from _counts(before, now)
-
-
-def _failures(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
-    """Of all frames together, since a cable that is pulled out silences all of them."""
-    were = {} if before is None else {frame.name: frame.failures for frame in before.feedback}
-    are = {frame.name: frame.failures for frame in now.feedback}
-    for failure, names in _by_failure((name, one, were.get(name, ())) for name, one in are.items()).items():
-        words = FAILURES_IN_WORDS.get(failure, failure)
-        yield Risen(failure, EntryKind.FAULT, Severity.WARNING, words, len(names), tuple(names))
-    for failure, names in _by_failure((name, were.get(name, ()), one) for name, one in are.items()).items():
-        text = f"no longer at fault ({failure})"
-        what = f"{failure} over"
-        yield Risen(what, EntryKind.FAULT, Severity.INFO, text, len(names), tuple(names), is_end=True)
-
-
-def _by_failure(frames: Iterable[tuple[str, Iterable[str], Iterable[str]]]) -> dict[str, list[str]]:
-    """The frames that have a failure in the one list, and not in the other."""
-    found: dict[str, list[str]] = {}
-    for name, failures, others in frames:
-        for failure in failures:
-            if failure not in others:
-                found.setdefault(failure, []).append(name)
-    return found
 
 
 def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
@@ -331,34 +319,31 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         if rises:
             said.add(kind)
             # A frame may only be late: the gateway knows that it is lost some seconds after its time.
-            count, is_end = sum(rises.values()), field == "lost"
-            yield Risen(words, EntryKind.FAULT, Severity.WARNING, words, count, tuple(rises), is_end=is_end)
+            yield Risen(words, words, sum(rises.values()), tuple(rises), is_end=field == "lost")
     for kind, count in now.faults.items():
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:
             severity = Severity.INFO if kind in _HARMLESS else Severity.WARNING
-            yield Risen(
-                f"fault {kind}", EntryKind.FAULT, severity, _FAULTS.get(kind, f"faults of frames: {kind}"), rise
-            )
+            words = _FAULTS.get(kind, f"faults of frames: {kind}")
+            yield Risen(f"fault {kind}", words, rise, severity=severity)
     for field, words in _COUNTS:
         rise = getattr(now, field) - getattr(before, field)
         if rise > 0:
-            yield Risen(field, EntryKind.FAULT, Severity.WARNING, words, rise)
+            yield Risen(field, words, rise)
 
 
 def _bus(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     if not now.bus_up and (before is None or before.bus_up):
         detail = f": {now.bus_detail}" if now.bus_detail else ""
-        yield Risen("bus down", EntryKind.FAULT, Severity.ERROR, f"the CAN bus {now.bus} is not there{detail}")
+        yield Risen("bus down", f"the CAN bus {now.bus} is not there{detail}", severity=Severity.ERROR)
     if before is not None and now.bus_up and not before.bus_up:
-        yield Risen("bus up", EntryKind.FAULT, Severity.INFO, f"the CAN bus {now.bus} is back", is_end=True)
+        yield Risen("bus up", f"the CAN bus {now.bus} is back", severity=Severity.INFO, is_end=True)
     if before is not None and now.variant is not before.variant:
         text = f"the firmware variant: {before.variant.value} before, {now.variant.value} now"
-        yield Risen("variant", EntryKind.GATEWAY, Severity.INFO, text, is_end=True)
+        yield Risen("variant", text, severity=Severity.INFO, kind=EntryKind.GATEWAY, is_end=True)
     was = ControllerState.UNKNOWN if before is None else before.controller
     if now.controller is not was and now.controller is not ControllerState.UNKNOWN:
-        text = f"the CAN controller: {was.value} before, {now.controller.value} now"
-        yield Risen("controller", EntryKind.FAULT, Severity.WARNING, text)
+        yield Risen("controller", f"the CAN controller: {was.value} before, {now.controller.value} now")
 
 
 APART_NS: Final = 10_000_000_000

@@ -6,10 +6,11 @@ one, which the log holds behind newer messages, appears in its place, and so tha
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from heapq import heappop, heappush
+from operator import itemgetter
 from typing import Any, Final
 
 import msgspec
@@ -174,8 +175,7 @@ class RobotTrack:
         """Entries on the last gateway that began."""
         self.died: _Held | None = None
         """The death that a recorder saw, until the gateway is heard again."""
-        self._holder_ticks: deque[int] = deque(maxlen=HOLDERS_KEPT)
-        self._holders: deque[str] = deque(maxlen=HOLDERS_KEPT)
+        self._holders: deque[tuple[int, str]] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []
         self._state_runs: list[int] = []
         self._sequences: dict[tuple[str, int], Sequences] = {}
@@ -213,12 +213,10 @@ class RobotTrack:
 
     def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
         """The arbiter's newest state."""
-        if not self._holders or self._holders[-1] != state.lease_holder:
-            if self._holder_ticks and state.tick < self._holder_ticks[-1]:
-                self._holder_ticks.clear()
+        if not self._holders or self._holders[-1][1] != state.lease_holder:
+            if self._holders and state.tick < self._holders[-1][0]:
                 self._holders.clear()
-            self._holder_ticks.append(state.tick)
-            self._holders.append(state.lease_holder)
+            self._holders.append((state.tick, state.lease_holder))
         if not self._state_runs or not is_same_run(state.tick, self._state_runs[-1]):
             self._state_runs.append(state.tick)
             self.run_since_ns = time_ns
@@ -227,8 +225,8 @@ class RobotTrack:
 
     def holder_at(self, tick: int) -> str:
         """Return the holder of the lease before this tick; empty if there was none, or the log does not say."""
-        at = bisect_right(self._holder_ticks, tick - 1)
-        return self._holders[at - 1] if at else ""
+        at = bisect_left(self._holders, tick, key=itemgetter(0))
+        return self._holders[at - 1][1] if at else ""
 
     def holes(self) -> Iterator[Entry]:
         """Yield an entry for each range of missing events and decisions."""

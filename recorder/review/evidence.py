@@ -12,7 +12,6 @@ from recorder.review.window import (
     BODY,
     BY_IDENTIFIER,
     IDENTIFIERS,
-    WHEELS,
     DecodedFrame,
     EvidenceWindow,
     Heard,
@@ -34,7 +33,6 @@ from schemas.messages import (
     Mode,
     RobotState,
     Steering,
-    Variant,
     WheelSpeed,
 )
 from schemas.reasons import TEXTS, Reason
@@ -45,7 +43,6 @@ from schemas.settings import (
     FOUND_MOVING_NS,
     FROZEN_BODY_M,
     IMPLAUSIBLE_FAULTS,
-    LOOP_LATE_STOP_NS,
     SAFETY_STATE_PERIOD_NS,
     SEND_FAILURES,
     STEERING_DEVIATION_DEG,
@@ -229,20 +226,10 @@ def _commanders(window: EvidenceWindow) -> list[Link]:
     return [evidence(text, last.time_ns, frames=len(near), first_before_ms=first_before_ms)]
 
 
-def _variant(window: EvidenceWindow) -> list[Link]:
-    """The wheel speed frame that shows the scale."""
-    frame = next((one for one in reversed(window.frames(WHEELS)) if one.is_whole), None)
-    if frame is None:
-        return [missing("a wheel speed frame, which would tell the scale")]
-    coarse, fine = (signals(frame, one)["RearLeftSpeed"] for one in (Variant.COARSE, Variant.FINE))
-    text = f"the last wheel speed frame reads {coarse:.2f} m/s if coarse and {fine:.2f} m/s if fine: {frame}"
-    return [evidence(text, frame.time_ns, coarse_mps=float(coarse), fine_mps=float(fine))]
-
-
 # What the gateway says of itself.
 
 
-def _health(*fields: str, limit: str = "") -> Finder:
+def _health(*fields: str) -> Finder:
     """These fields of the first health behind the moment, which tells of its second; else of the last before."""
 
     def found(window: EvidenceWindow) -> list[Link]:
@@ -252,7 +239,7 @@ def _health(*fields: str, limit: str = "") -> Finder:
         data = {field: getattr(health.said, field) for field in fields}
         shown = (f"{field.replace('_', ' ')} {_shown(value)}" for field, value in data.items() if value != "")
         said = ", ".join(shown)
-        text = f"gateway/health, {window.ago(health.time_ns)}: {said}{limit and '; '}{limit}"
+        text = f"gateway/health, {window.ago(health.time_ns)}: {said}"
         return [evidence(text, health.time_ns, **data)]
 
     return found
@@ -293,22 +280,7 @@ def _load(window: EvidenceWindow) -> list[Link]:
         text += f"frames that are not all read for {span(BEHIND_NS)} are too many"
         text += f"; the arbiter had not been given {waiting} that the bus had" if waiting else ""
         found.append(evidence(text, window.at_ns, frames_per_s=window.received, waiting=waiting))
-    return found + _health("frames_per_s", "bus_drops", "cpu_percent", "realtime")(window)
-
-
-def _lateness(window: EvidenceWindow) -> list[Link]:
-    """The lateness of the loop, and a pause in the arbiter's states."""
-    limit = f"the limit is {span(LOOP_LATE_STOP_NS)}"
-    found = _health("tick_lateness_max_ms", "tick_lateness_p50_ms", "cpu_percent", limit=limit)(window)
-    states = window.during(SafetyState)
-    for was, now in zip(reversed(states[:-1]), reversed(states[1:]), strict=True):
-        silent_ns, ticks = now.time_ns - was.time_ns, now.said.tick - was.said.tick
-        is_near = was.time_ns <= window.at_ns and now.time_ns >= window.at_ns - 2 * 10**9
-        if is_near and (silent_ns > 2 * SAFETY_STATE_PERIOD_NS or silent_ns > (ticks + 5) * TICK_NS):
-            text = f"two states of the arbiter are {span(silent_ns)} apart there, "
-            text += f"and {count(ticks, 'tick')} of 10 ms"
-            return [*found, evidence(text, was.time_ns, silent_ms=silent_ns / 1e6, ticks=ticks)]
-    return found
+    return found + _health("frames_per_s", "bus_drops", "cpu_percent")(window)
 
 
 def _unsent(window: EvidenceWindow) -> list[Link]:
@@ -322,18 +294,6 @@ def _unsent(window: EvidenceWindow) -> list[Link]:
     text = f"in the second before, {least} to {most} of five frames went out in {count(len(short), 'tick')} "
     text += f"with a request; {SEND_FAILURES} ticks in a row whose frames the bus does not take are a failure"
     return [evidence(text, short[0].time_ns, decisions=len(short), frames_sent_min=least)]
-
-
-def _unguarded(window: EvidenceWindow) -> list[Link]:
-    """Since when no guard watches."""
-    states = list(window.until(SafetyState))
-    gone = next((at for at, one in enumerate(states) if one.said.guarded), len(states))
-    if not gone:
-        return [missing("a state that says that no guard watches")]
-    first = states[gone - 1]
-    text = f"safety/state says that no guard watches, first {window.ago(first.time_ns)}"
-    text += "; the guard is gone, and another is being started" if gone < len(states) else ""
-    return [evidence(text, first.time_ns, before_ms=(window.at_ns - first.time_ns) / 1e6)]
 
 
 def _found_moving(window: EvidenceWindow) -> list[Link]:
@@ -563,7 +523,7 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.FEEDBACK_MISSING: _frames,
     Reason.FEEDBACK_FAULTY: _frames,
     Reason.FEEDBACK_LATE: _load,
-    Reason.VARIANT_UNKNOWN: _variant,
+    Reason.VARIANT_UNKNOWN: _health("variant"),
     Reason.HAND_TRANSMITTER: _REMOTE,
     Reason.MODE_NOT_AUTO: _STOP,
     Reason.FRONT_BUMPER: _turned("FrontBumper", 1, "front_bumper", wanted=True),
@@ -577,15 +537,13 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.FEEDBACK_FROZEN: _frozen,
     Reason.FOUND_MOVING: _found_moving,
     Reason.OTHER_COMMANDER: _commanders,
-    Reason.LOOP_LATE: _lateness,
+    Reason.LOOP_LATE: _health("tick_lateness_max_ms", "tick_lateness_p50_ms", "cpu_percent"),
     Reason.SEND_FAILED: _unsent,
     Reason.GATE: _unsent,
-    Reason.UNGUARDED: _unguarded,
-    Reason.NO_REALTIME: _load,
+    Reason.NO_REALTIME: _health("realtime", "cpu_percent"),
     # Their own words say all.
-    **dict.fromkeys(
-        (Reason.NONE, Reason.GUARD, Reason.SHUTDOWN, Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED), lambda _: []
-    ),
+    **dict.fromkeys((Reason.NONE, Reason.GUARD, Reason.UNGUARDED, Reason.SHUTDOWN), lambda _: []),
+    **dict.fromkeys((Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED), lambda _: []),
 }
 """The finder of each reason; of every other one it is the requests that were refused for it."""
 

@@ -29,9 +29,6 @@ BREAKS_MAX: Final = 1000
 SPANS_MAX: Final = 600
 PLACES_MAX: Final = 4000
 
-MIXED: Final = "(changing)"
-"""The value of a span that stands for several that are too short to be drawn."""
-
 LINES: Final = (
     "speed_mps",
     "target_speed_mps",
@@ -180,14 +177,9 @@ class Series:
 
 
 class Spans:
-    """One band of a chart: values, and from when to when each held. What comes late is passed over.
+    """One band of a chart: values, and from when to when each held. What comes late is passed over."""
 
-    Beyond ``limit`` short ones become one that is ``MIXED``.
-    """
-
-    def __init__(self, limit: int = SPANS_MAX) -> None:
-        self._limit = limit
-        self._shortest_ns = 1_000_000
+    def __init__(self) -> None:
         self._spans: list[Span] = []
         self._start_ns = self._last_ns = 0
         self._value: str | None = None
@@ -203,29 +195,13 @@ class Spans:
         self._last_ns = time_ns
 
     def spans(self) -> list[Span]:
-        """All of them so far; those whose value is empty are left out."""
+        """All of them so far, at most SPANS_MAX; those whose value is empty are left out."""
         now = [] if self._value is None else [Span(self._start_ns, self._last_ns, self._value)]
         return [span for span in [*self._spans, *now] if span.value]
 
     def _end(self, time_ns: int) -> None:
-        if self._value is not None and time_ns > self._start_ns:
+        if self._value is not None and time_ns > self._start_ns and len(self._spans) < SPANS_MAX:
             self._spans.append(Span(self._start_ns, time_ns, self._value))
-        while len(self._spans) > self._limit:
-            self._shortest_ns *= 2
-            self._spans = _coarser(self._spans, self._shortest_ns)
-
-
-def _coarser(spans: list[Span], shortest_ns: int) -> list[Span]:
-    """Neighbours of which one is short become one, as long as that is not yet long itself."""
-    coarse: list[Span] = []
-    for span in spans:
-        before = coarse[-1] if coarse else None
-        if before is not None and span.end_ns - before.start_ns <= shortest_ns:
-            value = before.value if before.value == span.value else MIXED
-            coarse[-1] = Span(before.start_ns, span.end_ns, value)
-        else:
-            coarse.append(span)
-    return coarse
 
 
 class DrivenPath:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from itertools import islice
 from typing import Any, Final
 
 import msgspec
@@ -16,33 +15,28 @@ from recorder.reading.rows import (
     Row,
     Selection,
     decoded_rows,
-    read_contents,
-    walk_contents,
 )
 from recorder.reading.topics import Topic
-from recorder.record.accounting import COMPLETENESS_NAME, KeyReport, total
+from recorder.record.accounting import KeyReport, total
 from recorder.record.robots import METADATA_NAME
 from recorder.review.entries import Entry
 from recorder.review.events import BEFORE_NS, Timeline, is_within
+from recorder.review.info import LogInfo, read_info
 from recorder.review.report.account import TAKEN, Account, Versions
 from recorder.review.report.findings import Report, ReportedFile, RobotReport
+from schemas.command_line import CommandError
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayInfo
 from schemas.recording import RecorderEvent, RecordGap
 
 ROBOTS_MAX: Final = 30
 OTHERS_MAX: Final = 5000
-TOPICS_MAX: Final = 5000
-NAMES_MAX: Final = 100
-"""Robots that a recorder describes in one log. It describes no more; names can be made up."""
 
 REMEMBERED: Final = 256
 """Messages of recorders that are known again when they come a second time."""
 
 _OF_ROBOTS: Final = TAKEN | {GatewayInfo}
 _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
-
-Facts = dict[str, str]
 
 
 def read_report(
@@ -57,11 +51,11 @@ def read_report(
 
     Of the time before the selection the states are read too.
     """
-    margins = [read_margins(log) for log in logs]
-    fleet = _Fleet(logs, selection, margins, faults)
+    infos = [_info(log) for log in logs]
+    fleet = _Fleet(logs, selection, infos, faults)
     fleet.read(progress)
     return Report(
-        files=[_reported(log, margin) for log, margin in zip(logs, margins, strict=True)],
+        files=[_reported(log, info) for log, info in zip(logs, infos, strict=True)],
         from_ns=selection.from_ns,
         to_ns=None if selection.to_ns == END_OF_TIME_NS else selection.to_ns,
         robots=sorted(fleet.end(), key=lambda one: one.summary.name),
@@ -72,55 +66,21 @@ def read_report(
     )
 
 
-class Margins(msgspec.Struct):
-    """The metadata of a file: its robots, and the recorder's account.
-
-    Attributes:
-        facts: its metadata about each robot, one after the other, by the robot's key; by its name if that is all.
-    """
-
-    facts: dict[str, list[Facts]]
-    completeness: dict[str, KeyReport]
+def _info(log: LogFile) -> LogInfo | None:
+    """The contents of a file; faults are reported by the reader of the rows."""
+    with suppress(CommandError):
+        return read_info(log.path)
+    return None
 
 
-def read_margins(log: LogFile) -> Margins:
-    """Read the metadata of a log. The faults of the file are reported by the reader of the rows."""
-    named: dict[str, list[Facts]] = {}
-    accounts: Facts = {}
-    for name, entries in _metadata_of(log):
-        if name == METADATA_NAME:
-            for robot, facts in _by_name(entries):
-                if robot in named or len(named) < NAMES_MAX:
-                    named.setdefault(robot, []).append(facts)
-        elif name == COMPLETENESS_NAME:
-            accounts = entries
-    completeness = {}
-    for topic, text in islice(accounts.items(), TOPICS_MAX):
-        with suppress(msgspec.MsgspecError):
-            completeness[topic] = msgspec.json.decode(text, type=KeyReport)
-    return Margins({_key_of(robot, named, log): found for robot, found in named.items()}, completeness)
-
-
-def _metadata_of(log: LogFile) -> list[tuple[str, Facts]]:
-    with suppress(OSError), log.path.open("rb") as stream:
-        contents = read_contents(stream)
-        if contents is None:
-            contents = walk_contents(stream, log.bytes, lambda _: None, is_being_written=log.is_being_written)
-        return contents.metadata
-    return []
-
-
-def _by_name(metadata: Facts) -> Iterator[tuple[str, Facts]]:
-    """The names of the robots in a log, and what its metadata say of each."""
-    for name in filter(None, metadata.get("robots", "").split(",")[:NAMES_MAX]):
-        prefix = f"{name}."
-        yield name, {one.removeprefix(prefix): value for one, value in metadata.items() if one.startswith(prefix)}
-
-
-def _key_of(name: str, names: Iterable[str], log: LogFile) -> str:
-    """A recorder calls a robot by its name, and the second one of that name by its root, too."""
-    keys = {f"{root}/{robot}" for root, robot in log.robots if robot == name} - set(names)
-    return keys.pop() if len(keys) == 1 else name
+def _facts_of(key: str, log: LogFile, info: LogInfo | None) -> dict[str, str]:
+    """The recorder's last note of a robot; it calls the second robot of a name by its root, too."""
+    ours = {} if info is None else info.metadata.get(METADATA_NAME, {})
+    root, _, name = key.rpartition("/")
+    if log.robots and (root, name) not in log.robots:
+        return {}
+    prefix = f"{key if key in ours.get('robots', '').split(',') else name}."
+    return {one.removeprefix(prefix): value for one, value in ours.items() if one.startswith(prefix)}
 
 
 class _Fleet:
@@ -131,12 +91,12 @@ class _Fleet:
     """
 
     def __init__(
-        self, logs: Sequence[LogFile], asked: Selection, margins: Sequence[Margins], faults: Faults
+        self, logs: Sequence[LogFile], asked: Selection, infos: Sequence[LogInfo | None], faults: Faults
     ) -> None:
         self.others: set[str] = set()
         self._logs = logs
         self._asked = asked
-        self._margins = margins
+        self._infos = infos
         self._faults = faults
         self._accounts: dict[str, Account] = {}
         self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts remember the robots' messages.
@@ -183,7 +143,7 @@ class _Fleet:
             begins_before = any(log.start_ns < asked.from_ns for log in files)
             ends_behind = any(log.end_ns > asked.to_ns for log in files)
             account.miss(asked.from_ns if begins_before else None, asked.to_ns if ends_behind else None)
-            found = account.sum_up(_completeness(key, self._margins), asked.from_ns, asked.to_ns)
+            found = account.sum_up(_completeness(key, self._infos), asked.from_ns, asked.to_ns)
             if found is not None:
                 yield found
 
@@ -193,9 +153,8 @@ class _Fleet:
         if account is None and len(self._accounts) < ROBOTS_MAX:
             begins_ns = min((log.start_ns for log in logs_of(key, self._logs)), default=0)
             versions = Versions()
-            for margin in self._margins:
-                for facts in _facts_of(key, margin):
-                    versions.read(facts)
+            for log, info in zip(self._logs, self._infos, strict=True):
+                versions.read(_facts_of(key, log, info))
             account = Account(topic.robot, key, versions, max(self._asked.from_ns, begins_ns))
             self._accounts[key] = account
         elif account is None and len(self.others) < OTHERS_MAX:
@@ -221,15 +180,11 @@ class _Fleet:
         return known or [one for one in accounts if one.key.endswith(f"/{robot}")]
 
 
-def _facts_of(key: str, margin: Margins) -> list[Facts]:
-    return margin.facts.get(key, margin.facts.get(key.rpartition("/")[2], []))
-
-
-def _completeness(key: str, margins: Sequence[Margins]) -> dict[str, KeyReport]:
+def _completeness(key: str, infos: Sequence[LogInfo | None]) -> dict[str, KeyReport]:
     """The account of a robot's topics, of all files."""
     reports: dict[str, list[KeyReport]] = {}
-    for margin in margins:
-        for topic, report in margin.completeness.items():
+    for info in infos:
+        for topic, report in ({} if info is None else info.completeness).items():
             if topic.startswith(f"{key}/"):
                 reports.setdefault(topic, []).append(report)
     return {topic: total(of_topic) for topic, of_topic in sorted(reports.items())}
@@ -243,6 +198,6 @@ def _robot_key(topic: Topic) -> str:
     return topic.name.removesuffix(f"/{topic.subject}")
 
 
-def _reported(log: LogFile, margins: Margins) -> ReportedFile:
-    is_accounted = log.is_incident or bool(margins.completeness)
+def _reported(log: LogFile, info: LogInfo | None) -> ReportedFile:
+    is_accounted = log.is_incident or (info is not None and bool(info.completeness))
     return ReportedFile(log.path.name, log.bytes, log.start_ns, log.end_ns, is_accounted, log.is_being_written)

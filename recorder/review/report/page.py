@@ -79,9 +79,6 @@ COLOURS: Final = {
 
 PALETTE: Final = (BLUE, ORANGE, VIOLET, OLIVE, GREEN)
 
-STOP_LINES_MAX: Final = 40
-"""More lines across the charts would hide them: then there are none."""
-
 
 class EventLook(msgspec.Struct, frozen=True):
     """The look of a kind of event.
@@ -185,8 +182,8 @@ def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
         "to_ms": -(-drawn.end_ns // 1_000_000),
         "lines": [_line(drawn.lines.get(line.key, [])) for line in LINES],
         "bands": [_band(drawn.bands.get(row, [])) for row in BANDS],
-        "outages": [(_ms(begin), _ms(end)) for begin, end in _few(drawn.outages)],
-        "stops": [_ms(time_ns) for time_ns in _few(stops)],
+        "outages": [(_ms(begin), _ms(end)) for begin, end in drawn.outages],
+        "stops": [_ms(time_ns) for time_ns in stops],
         "moments": [_moment(one, drawn.places) for one in drawn.moments],
         "path": _path(drawn.places),
     }
@@ -225,10 +222,6 @@ def _ms(time_ns: int) -> int:
 def _steps(times_ms: Sequence[int]) -> list[int]:
     """The first time, and from each one to the next."""
     return [*times_ms[:1], *(after - before for before, after in pairwise(times_ms))]
-
-
-def _few(found: Sequence[Any]) -> Sequence[Any]:
-    return found if len(found) <= STOP_LINES_MAX else ()
 
 
 def _line(points: Sequence[Point | None]) -> tuple[list[int], list[float | None]]:

@@ -28,13 +28,7 @@ RECEIVED_NS = 2 * MS
 
 
 class RecordedRig(GatewayRig):
-    """A gateway's rig with a recorder beside it.
-
-    Attributes:
-        robot_ahead_ns: so far the robot's clock is ahead of the recorder's, in its log.
-    """
-
-    robot_ahead_ns = 0
+    """A gateway's rig with a recorder beside it."""
 
     @classmethod
     def beginning(cls, at_ns: int, run: int) -> "RecordedRig":
@@ -125,21 +119,19 @@ class RecordedRig(GatewayRig):
         recorder_says: Sequence[RecorderEvent] = (),
         lag_ns: int = RECEIVED_NS,
         journal: Callable[[Journal], Journal] = lambda one: one,
-        tick_ns: int = 0,
     ) -> bytes:
         """The log of all that was said, as a recorder writes it.
 
         Args:
             lag_ns: a sample is received so much later than it was published.
             journal: what becomes of each message of the journal before it is recorded.
-            tick_ns: the recorder ticks so often, and then writes chunks in time; 0: only full ones.
         """
         log = Log()
-        began_ns = ticked_ns = self.recorded[0][0] if self.recorded else 0
+        began_ns = self.recorded[0][0] if self.recorded else 0
         keys_of = {name: self._key(robot, name) for name in {sample.subject for _, sample in self.recorded}}
         answer = msgspec.structs.replace(info(), configuration=to_toml(self.settings))
         for number, (at_ns, sample) in enumerate(self.recorded):
-            log_ns = at_ns - self.robot_ahead_ns + lag_ns
+            log_ns = at_ns + lag_ns
             if number == 0 and with_info:
                 log.receive(sample_of(answer, robot), wall_ns=log_ns)
             if sample.subject in without:
@@ -152,9 +144,6 @@ class RecordedRig(GatewayRig):
                 payload = codec.encode(journal(message))
             one = FakeSample(keys_of[sample.subject], subject.encoding, payload)
             log.receive(one, now_ns=at_ns - began_ns, wall_ns=log_ns)
-            if tick_ns and at_ns - ticked_ns >= tick_ns:
-                ticked_ns = at_ns
-                log.tick(at_ns - began_ns)
         for said in recorder_says:
             log.add_own(keys.of_recorder(self.settings.robot.root, "bench", "event"), said, 0)
         return log.close()

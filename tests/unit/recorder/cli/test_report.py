@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from recorder.cli import report
 from recorder.review.report import account
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
@@ -57,17 +56,6 @@ def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
     assert len(alone["drives"]) == 1
     assert alone["drives"][0]["start_ns"] == robot["drives"][1]["start_ns"]
     assert alone["stops"] == {"front_bumper": 1}
-
-
-def test_stops_beyond_the_limit_have_a_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is the one that explains them."""
-    monkeypatch.setattr(report, "WHYS_MAX", 0)
-    path = write_messages(tmp_path / "a.mcap", drive_messages(60))
-    assert ask(path, "-o", "r.html") == ExitCode.OK
-    html = (tmp_path / "r.html").read_text()
-    assert '<details class="why">' not in html
-    assert "cruiser review why" in html
-    assert "--robot cruiser-1 --at 2027-01-15T08:00:02.950Z" in html
 
 
 def test_each_stop_has_its_reason_as_why_words_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,6 @@ import msgspec
 import pytest
 
 from gateway.chassis.odometry import GAP_NS, DeadReckoning
-from recorder.review import drives
 from recorder.review.drives import (
     CLOCK_STEP_NS,
     DIED,
@@ -21,11 +20,11 @@ from recorder.review.drives import (
     Outage,
     SpeedMeter,
 )
-from recorder.review.entries import Entry, EntryKind, EntrySource, Stops, kind_of
+from recorder.review.entries import Entry, EntryKind, EntrySource, Stops
 from schemas.cruiser import WHEELBASE_M
 from schemas.decisions import Severity
 from schemas.messages import Odometry
-from schemas.reasons import AS_ASKED, Reason
+from schemas.reasons import Reason
 from tests.support.messages import MS, SECOND, WALL_NS
 from tests.support.reading import entry as entry_at
 
@@ -183,23 +182,6 @@ def test_the_worst_moment_is_the_first_of_the_gravest(severities: str, worst: st
         found.take(msgspec.structs.replace(one, is_stop="*" in said))
     (drive,) = found.drives()
     assert (drive.worst, "" if found.worst is None else found.worst.text) == (worst, worst)
-
-
-def test_drives_beyond_the_limit_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory does not grow with the log."""
-    monkeypatch.setattr(drives, "DRIVES_MAX", 2)
-    found = Drives()
-    for number in range(5):
-        found.command(WALL_NS + number * DAY_NS, WALL_NS)
-    assert (len(found.drives()), found.more) == (2, 3)
-
-
-@pytest.mark.parametrize("reason", [reason for reason in Reason if reason in AS_ASKED])
-def test_an_end_that_was_asked_for_is_no_stop(reason: Reason) -> None:
-    """They are counted apart."""
-    end, stop = (entry(1, kind_of(EntryKind.STOP, why), reason=why) for why in (reason, Reason.DEADMAN))
-    found = happened(end, stop)
-    assert (found.stops, found.ends) == ({"deadman": 1}, {reason.value: 1})
 
 
 @pytest.mark.parametrize("is_latched", [True, False])

@@ -118,15 +118,6 @@ def test_a_clock_that_is_set_is_seen_by_the_ticks(set_ns: int) -> None:
     assert abs(clock.place(now_ns + set_ns, now_ns + MS) - now_ns) <= MS
 
 
-def test_a_pause_of_the_gateway_is_no_clock_that_was_set() -> None:
-    """Its ticks stand still, but the receipt is as late as its clock says."""
-    clock = RobotClock()
-    run(clock, range(0, 100, 5))
-    late_ns = WALL_NS + 100 * TICK_NS + 4 * SECOND
-    assert clock.hear(TICK + 100, late_ns, late_ns + MS) == ""
-    assert clock.place(late_ns, late_ns + MS, TICK + 100) == late_ns
-
-
 # Faults.
 
 FRAME = msgspec.structs.replace(HEALTH.feedback[0], valid=50)

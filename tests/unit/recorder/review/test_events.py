@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from recorder.reading.logs import Faults, find_logs
-from recorder.reading.rows import Selection, read_rows
+from recorder.reading.rows import Selection
 from recorder.review import events
 from recorder.review.entries import Entry, EntryKind, EntrySource
 from recorder.review.events import read_events
@@ -31,7 +31,7 @@ from tests.support.messages import refusal as refused
 from tests.support.nights import some_by_day
 from tests.support.rigs import gateway, scenarios
 from tests.support.rigs.recorded import RecordedRig
-from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, logs_of, recorded
+from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
@@ -111,41 +111,6 @@ def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario
     assert {one.kind for one in entries if one.source is EntrySource.STATE} <= {EntryKind.GUARD}
 
 
-@pytest.mark.parametrize(
-    ("script", "said", "unsaid"),
-    [
-        ("deadman", ["request info operator-1 1x: unpark, as asked"], ""),
-        ("deadman", ["stop warning (operator-1) 1x: stopping: no acceptable drive command came in time"], ""),
-        ("checksums", [f"fault warning () 5x: Auto_DriveFeedBack: frames with a wrong checksum{AFTER}"], ""),
-        ("ready; another 60; run 1", [f"gateway warning () 1x: {BEGAN}"], "safety/event are not in the log"),
-        (
-            "ready; another 3; run 1",
-            [
-                "gap warning () 1x: nothing of the arbiter for 3.0 s: the gateway fell silent, standby",
-                f"gateway warning () 1x: {BEGAN}",
-            ],
-            "as asked",
-        ),
-        (
-            "ready; shutdown; run 0.01; another 3; run 1",
-            ["gateway info () 1x: the gateway ends, as it was told to", f"gateway info () 1x: {BEGAN}"],
-            "fell silent",
-        ),
-    ],
-)
-def test_entries_in_words(script: str, said: list[str], unsaid: str, tmp_path: Path) -> None:
-    """Who did it, or in parentheses who held the lease; a gateway that was asked to end did not fall silent."""
-    for number, data in enumerate(logs_of(script)[0]):
-        (tmp_path / f"{number}.mcap").write_bytes(data)
-    faults = Faults()
-    shown = [
-        f"{one.kind.value} {one.severity.value} {one.operator or f'({one.holder})'} {one.count}x: {one.text}"
-        for one in read_events(find_logs([tmp_path], faults), Selection(), faults)
-    ]
-    assert [one for one in said if not any(entry.startswith(one) for entry in shown)] == [], shown
-    assert not unsaid or not [one for one in shown if unsaid in one]
-
-
 def test_a_stream_that_is_refused_is_one_entry(path: Path) -> None:
     """With a count, the first time and the last; another reason or operator is another entry."""
     said: list[tuple[int, Message]] = [(2 * n, refusal(2 * n, n)) for n in range(500)]
@@ -179,30 +144,6 @@ def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytes
         [str(n) for n in range(100, 150)] + ["5"]
     )
     assert [one.text for one in entries if one.is_late and one.kind is EntryKind.RESET] == ["5"]
-
-
-def test_what_is_there_twice_is_told_once(tmp_path: Path) -> None:
-    """An incident beside its log, and a second recorder's log."""
-    data = recorded(scenarios.deadman)
-    for name in ("one.mcap", "two.mcap"):
-        (tmp_path / name).write_bytes(data)
-    faults = Faults()
-    twice = list(read_events(find_logs([tmp_path], faults), Selection(), faults))
-    assert twice == told(tmp_path / "one.mcap", data)
-
-
-def test_several_robots_stand_side_by_side(tmp_path: Path) -> None:
-    """By their time, each with its name; one alone if it is asked for."""
-    one, two = acted(scenarios.deadman), acted(scenarios.remote_stop)
-    (tmp_path / "one.mcap").write_bytes(one.log())
-    (tmp_path / "two.mcap").write_bytes(two.log(robot="cruiser-2"))
-    faults = Faults()
-    logs = find_logs([tmp_path], faults)
-    both = list(read_events(logs, Selection(), faults))
-    assert {entry.robot for entry in both} == {ROBOT, "cruiser-2"}
-    assert [entry.time_ns for entry in both] == sorted(entry.time_ns for entry in both)
-    alone = list(read_events(logs, Selection(), faults, robots={"cruiser-2"}))
-    assert alone == [entry for entry in both if entry.robot == "cruiser-2"]
 
 
 def test_a_question_bounds_time_and_kind(path: Path) -> None:
@@ -244,14 +185,6 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
     assert "the disk did not take or keep them" in entries[0].text
 
 
-def test_a_gateway_that_only_listens_has_faults_and_no_more(path: Path) -> None:
-    """They are in its health."""
-    safety = ("safety/event", "safety/state", "safety/decision", "journal")
-    entries = told(path, recorded(scenarios.one_silent_frame, *safety))
-    assert {one.source for one in entries} == {EntrySource.HEALTH}
-    assert f"frames stayed away{AFTER}" in {one.text for one in entries}
-
-
 def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
     """All feedback stays away and comes again: not a line for each frame and each of its faults."""
     rig, _ = RecordedRig.driving()
@@ -279,20 +212,6 @@ def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
         assert one.time_ns <= stop.time_ns <= one.last_ns
         assert one.last_ns - one.time_ns == SECOND
         assert entries.index(one) < entries.index(stop)
-
-
-def test_a_message_that_cannot_be_read_is_a_fault(path: Path) -> None:
-    """The others are told."""
-    data = recorded(scenarios.deadman)
-    path.write_bytes(data)
-    unread = Faults()
-    timeline = events.Timeline(unread)
-    for row in read_rows(find_logs([path], unread), Selection(), unread):
-        is_event = row.topic.kind is SafetyEvent
-        timeline.take(msgspec.structs.replace(row, data=b"\xff" * 5) if is_event else row)
-    assert unread.count == 1  # The same of each is one fault.
-    assert "safety/event: a message that cannot be read" in unread.told[0]
-    assert EntryKind.REQUEST in {entry.kind for entry in timeline.end()}
 
 
 HOUR = 360_000

@@ -49,10 +49,6 @@ SHORT = {
     "KILLED": "driving; run 1; rest; run 2; operator operator-2; engage; drive 0.6 1.5; mark",
 }
 ROWS = """
-== an emergency is told as one
-given front_bumper
-last
-    action: from 0.60 m/s to zero at 2.0 m/s2 in 290 ms
 == a normal stop has ramp, standstill and parking brake
 given deadman
 last
@@ -88,11 +84,6 @@ disengaged
 50
     evidence: the request was disengage, of operator-1 | no evidence: came after it
     action: stopped: the robot is told nothing, and stands, after 2.25 s | no action: moved again
-== and likewise where no state is
-given driving; says disengage; rest; operator operator-1; engage; drive 0.6 1.0; says disengage; rest; from \
-disengaged; without safety/state
-50
-    evidence: the request was disengage | no evidence: came after it | no action: moved again
 == a stop that the remote control cuts short keeps its cause
 given driving; says disengage; run 0.2; fault transmitter remote for 9s; until standby; run 1; from \
 hand_transmitter
@@ -105,10 +96,6 @@ given driving; run 1; rest; operator operator-2; engage; drive 0.6 1.5; without 
     reason: deadman
 0
     reason: none | stop_ms: none | state: none | silent_ms: none
-== a stop of long ago is no answer where no state is
-given driving; run 1; rest; run 15; without safety/state
-0
-    reason: none | stop_ms: none | state: none | missing: what was since the last stop, 17.46 s before
 == a clock that is set back leaves the last stop the last
 given driving; stop; rest; clock -3600; take; reset; ask engage; drive 0.6 1.5; run 1; rest
 last
@@ -146,10 +133,6 @@ given driving; fault bumper front on for 700ms; drive 0.6 0.2; rest; run 14; tak
     state: standby | evidence: FrontBumper = 1
     latch: latched with this stop: front_bumper, and no reset of it is in the log
     command: one engage request of operator-1 was refused
-== a stop that could not be carried out is the request
-given driving; fault transmitter remote for 9s; run 1; stop; run 1
-0
-    latch: by desk: remote_stop, and no reset of it is in the log
 == another latch than that of the stop has evidence of its own
 given driving; run 1; rest; stop; run 14
 0
@@ -173,11 +156,6 @@ given ready; take; ask engage; run 0.2; drive 0.5 0.5
     headline: It was engaged and stood: the parking brake is applied.
     command: asked for 0.50 m/s, 0.0 deg; commanded was 0.00 m/s
     cure: to cure parked: allow drive commands to release it: 'cruiser unpark cruiser-1
-== a robot that rolls is not said to stand
-given ready; engage; drive 0.5 0.28
-0
-    headline: and hardly moved, at 0.04 m/s | motion: it hardly moved, at 0.04 m/s | no motion: stood
-    no headline: stood
 == zero speed is nobody's fault
 given ready; engage; drive 0 0.5
 0
@@ -200,14 +178,6 @@ given driving; says disengage; rest; take; begin engage; run 0.1
 given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive -0.5 0.2
 0
     headline: It was engaged, commanded -0.0 | no cause | no cure: front_bumper
-== one that begins to move away hardly moves
-given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive -0.5 0.28
-0
-    headline: It was engaged, commanded -0.10 m/s, and hardly moved, at 0.04 m/s. | no cause
-== one that has moved away moves
-given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive -0.5 0.7
-0
-    headline: It was engaged and moved, at 0. | no cause | no cure: front_bumper
 == one that stands for its operator could not have gone there
 given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive 0.0 0.3
 0
@@ -238,10 +208,6 @@ last
 3500
     state: standby | reason: none | stop_ms: none | silent_ms: 0
     headline: It was not engaged: nobody holds the lease...The gateway fell silent 3.5
-== of the log that ends with the death the stop is the last thing that is known
-given KILLED; another 3; run 4; alone
-last
-    reason: deadman
 == a death is dated by the last state, whatever the next gateway says first
 given ready; run 0.9; engage; drive 0.6 4; mark; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4
 given ready; engage; drive 0.6 1; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4; mark; another 0.3; run \
@@ -254,20 +220,12 @@ last
 given ready; engage; drive 0.6 1; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4
 1000
     silent_ms: none | headline: The log does not hold that moment
-== a stop behind a death is the last thing
-given driving; another 3; run 0.6; operator operator-2; engage; drive 0.6 1.0; stop; rest
-last
-    reason: remote_stop
 == a stop of another run is no answer
 given driving; run 1; rest; mark; another 3; run 4
 0
     reason: deadman
 1000 3500
     reason: none | stop_ms: none | headline: standby, standing; another run began
-== of another run nothing is told as of this one
-given driving; another 3; mark; run 1; without state
-15
-    state: standby | cause: the firmware variant | no evidence: the gateway took the firmware variant for coarse
 == a death that a recorder saw is told where no other gateway follows
 given driving; drive 0.6 2; mark; gone 0
 last -200 1000
@@ -306,23 +264,11 @@ given one_silent_frame; without journal
 given checksums; without journal
 last
     missing: not in the log: the frames of this time
-== and the frames of others
-given other_commander; without journal
-last
-    missing: not in the log: the frames of the other computer
 == and requests
 given deadman; without safety/decision
 given lease_expired; without safety/decision
 last
     missing: not in the log: the requests of this time
-== and the request that did it
-given remote_stop; without safety/decision
-last
-    missing: not in the log: the request itself (stop)
-== and the feedback
-given deadman; without chassis/drive
-last
-    missing: not in the log: the drive feedback of this time
 == and the arbiter
 given deadman; without safety/state, safety/event
 last

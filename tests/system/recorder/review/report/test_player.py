@@ -191,20 +191,6 @@ def test_a_drive_plays_pauses_and_ends(page: Page, drive: Path) -> None:
     assert moment(page, 1) == stood
 
 
-def test_a_click_on_the_charts_goes_there(page: Page, drive: Path) -> None:
-    """And the arrow keys go on from there."""
-    opened(page, drive)
-    field = page.locator("#time-0 .u-over").first
-    field.scroll_into_view_if_needed()
-    box = field.bounding_box()
-    assert box is not None
-    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    wait_until(lambda: moment(page) > "08:00:04")
-    assert moment(page) < "08:00:06"
-    assert page.locator("#player-0 input").evaluate("input => input === document.activeElement")
-
-
 def dragged(page: Page, field: str, *keys: str) -> None:
     """Draw the mouse over the middle half of a field, with keys held."""
     place = page.locator(field).first
@@ -270,14 +256,3 @@ def test_many_days_begin_with_an_overview(page: Page, weeks: Path) -> None:
     page.locator(f"#time-{number} canvas").first.wait_for()
     from_text, to_text = shown(page, int(number))
     assert from_text[:13] == to_text[:13] == "2027-02-08T15"
-
-
-def test_a_moment_of_many_days_is_found(page: Page, weeks: Path) -> None:
-    """In the section of its drive; one that is not drawn is said so."""
-    opened(page, weeks, "#t=2027-02-08T15:20:01Z")
-    number = page.locator(".player").count() - 1
-    page.locator(f"#time-{number} canvas").first.wait_for()
-    assert moment(page, number) == "15:20:01.000"
-    assert page.locator("#note").is_hidden()
-    page.evaluate("location.hash = '#t=2027-01-15T08:00:01Z'")
-    page.locator("#note", has_text="draws nothing of 2027-01-15T08:00:01.000Z").wait_for()

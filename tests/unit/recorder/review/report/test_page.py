@@ -18,21 +18,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.record.accounting import KeyReport
-from recorder.review.drives import DIED, Outage
+from recorder.review.drives import DIED
 from recorder.review.entries import EntryKind
 from recorder.review.report.findings import (
-    MIXED,
     PLACES_MAX,
     Drawn,
     DrivenPath,
-    Place,
     Point,
     Report,
     RobotReport,
     Series,
     Span,
     Spans,
-    summary_lines,
     verdict,
 )
 from recorder.review.report.page import (
@@ -40,14 +37,13 @@ from recorder.review.report.page import (
     LINES,
     MARKS,
     MOMENTS_SHOWN,
-    STOP_LINES_MAX,
     band_colours,
     figures,
     page,
     safe_json,
     text,
 )
-from schemas.decisions import ArbiterState, EventKind, Severity
+from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Message, Mode
 from tests.support.drives import HOSTILE, drive_messages, drives_over, restart, write_messages
 from tests.support.messages import MS, PERIOD_NS, SECOND, WALL_NS, arbiter, event, gateway_info, refusal, state
@@ -124,20 +120,6 @@ def test_a_value_holds_until_another_comes(
     assert spans.spans() == [Span(start_ms * MS, end_ms * MS, value) for start_ms, end_ms, value in found]
 
 
-def test_what_changes_too_often_is_mixed_and_long_spans_stay() -> None:
-    """The number of spans is bounded; what is long enough to be seen is seen."""
-    spans = Spans(limit=50)
-    for number in range(10_000):
-        spans.add(number * MS, "ab"[number % 2])
-    for number in range(300):
-        spans.add((10_000 + number * 400) * MS, "long")
-    found = spans.spans()
-    assert len(found) <= 52
-    assert found[0].start_ns == 0
-    assert MIXED in {span.value for span in found}
-    assert any(span.value == "long" and span.end_ns - span.start_ns > 99 * SECOND for span in found)
-
-
 def test_a_path_that_breaks_off_goes_on_from_the_same_place() -> None:
     """A robot that stands is one place, and the last one."""
     path = DrivenPath()
@@ -212,46 +194,6 @@ def test_the_verdict(report: Report, changes: dict[str, Any], said: str) -> None
     assert verdict(robot) == said
 
 
-@pytest.mark.parametrize(
-    ("line", "changes", "said"),
-    [
-        (
-            "Distance",
-            {"top_mps": -1.0},
-            "10.0 m, moving 10.0 s of 10.0 s; top speed 1.00 m/s in reverse at 2027-01-15 08:00:00.000 UTC",
-        ),
-        ("Distance", {"known_s": 0.0}, "not in the log"),
-        (
-            "Gateway",
-            {"outages": [Outage(WALL_NS + SECOND, WALL_NS + 6 * SECOND, is_commanding=True)]},
-            f"silent for 5.0 s from {FIRST} while commanding, then restarted",
-        ),
-        (
-            "Gateway",
-            {"outages": [Outage(WALL_NS + SECOND, WALL_NS + SECOND, is_commanding=False)]},
-            f"restarted at {FIRST}",
-        ),
-        (
-            "Gateway",
-            {"outages": [Outage(WALL_NS + SECOND, None, is_commanding=False)]},
-            f"silent from {FIRST} to the end",
-        ),
-        ("Refused", {}, "1 of 1 requests: 1 x drive of operator-2: this lease is not in force"),
-        ("Lost", {"completeness": {}}, "the recorder's account"),
-        (
-            "Lost",
-            {"completeness": LOSSY, "gaps": 1, "gap_s": 3.5},
-            "3.5 s of motion in 1 gap; 3 frames between chassis and gateway; 2 samples on the way to the recorder",
-        ),
-        ("Versions", {"in_force": []}, "not in the log"),
-    ],
-)
-def test_a_line(report: Report, line: str, changes: dict[str, Any], said: str) -> None:
-    """Each answers its question; what is not in the log is called so."""
-    told = changed(report, **changes)
-    assert dict(summary_lines(told.robots[0], told))[line] == said
-
-
 NOTHING = Drawn(WALL_NS, WALL_NS, None, {}, {}, [], [], [])
 
 
@@ -291,19 +233,6 @@ def test_a_line_has_the_values_of_its_time_and_breaks_off(tmp_path: Path) -> Non
     assert measured[-1][0] == 99 * PERIOD_NS // MS
 
 
-def test_too_many_stops_and_outages_are_marks_alone(tmp_path: Path) -> None:
-    """Lines and shades across the charts would hide them."""
-    engaged = [event(101 + 2 * number, EventKind.ENGAGED) for number in range(STOP_LINES_MAX)]
-    many = [one for number, first in enumerate(engaged) for one in (first, event(102 + 2 * number))]
-    assert len(drawn_of(robot_of(tmp_path, *many[:-2]))["stops"]) == STOP_LINES_MAX
-    robot = robot_of(tmp_path, *many)
-    assert not drawn_of(robot)["stops"]
-    spans = [(WALL_NS + number, WALL_NS + number + 1) for number in range(STOP_LINES_MAX + 1)]
-    for outages, expected in ((spans, 0), (spans[1:], STOP_LINES_MAX)):
-        found = with_charts(robot, msgspec.structs.replace(robot.drawn[0], outages=outages))
-        assert len(found["outages"]) == expected
-
-
 def test_what_a_log_says_rules_no_line(tmp_path: Path) -> None:
     """It is shown as text, which the page's tests see; characters that rule the line are written out."""
     hostile = event(101, text=HOSTILE, operator="a\x1b[31m\nb")
@@ -311,16 +240,6 @@ def test_what_a_log_says_rules_no_line(tmp_path: Path) -> None:
     encoded = msgspec.json.encode(drawn_of(robot_of(tmp_path, hostile, *holders))).decode()
     assert "\u202e" not in encoded
     assert "operator: a\\\\x1b[31m\\\\nb" in encoded
-
-
-def test_a_broken_path_is_drawn_broken_and_in_its_order(tmp_path: Path) -> None:
-    """Though a clock was set back in it."""
-    places = [Place(2 * MS, 1.0, 0.0, 0.0, begins=True), Place(3 * MS, 2.0, 0.0, 0.0, begins=False)]
-    places += [Place(1 * MS, 2.0, 0.0, 0.0, begins=True), Place(4 * MS, 3.0, 0.0, 0.0, begins=False)]
-    path = with_charts(robot_of(tmp_path), msgspec.structs.replace(NOTHING, places=places))["path"]
-    assert list(accumulate(path["time_ms"])) == [2, 3, 1, 4]
-    assert path["x_m"] == [1.0, 2.0, 2.0, 3.0]
-    assert path["begins"] == [0, 2]
 
 
 def test_every_state_and_event_has_a_look_of_its_own() -> None:
