@@ -23,15 +23,14 @@ from gateway.chassis.layout import check, unknown_frame
 from gateway.chassis.odometry import DeadReckoning
 from gateway.chassis.port import Chassis, ChassisState
 from gateway.chassis.supervision import VariantDetector, controller_state
+from gateway.command.arbiter import Arbiter
 from gateway.command.flow import CommandFlow, TickEffects
 from gateway.command.restart import (
     QUIET_NS,
     Carried,
-    Snapshot,
     as_array,
     is_at_rest,
     may_start_again,
-    restore,
     snapshot,
     take_over,
 )
@@ -74,15 +73,7 @@ class Core:
     def __init__(
         self, chassis: Chassis, settings: Settings, gateway_version: str, now_ns: int, run: int = 0
     ) -> None:
-        """Begin in standby.
-
-        Args:
-            chassis: the one on the bus.
-            settings: all of them; ``gateway.listen_only`` leaves the command flow out.
-            gateway_version: published in ``gateway/health``.
-            now_ns: monotonic.
-            run: a random number that distinguishes this run from every other.
-        """
+        """Begin in standby; a gateway that only listens has no command flow. The run is a random number."""
         self._health = HealthMeter(gateway_version, settings.can.bus, now_ns)
         kept = BATCH_MAX_FRAMES if settings.can.raw_frames else 0
         self._received = FrameBatch(settings.can.bus, kept)
@@ -182,11 +173,7 @@ class Core:
     def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         """Every 10 ms. Returns what is due: commands, raw frames, state, health.
 
-        Args:
-            now_ns: monotonic.
-            wall_ns: since 1970.
-            late_ns: delay of this tick's beginning.
-            challenge: random bytes that were never given before; a command that echoes them was made after this.
+        The challenge is of random bytes, never given before: a command that echoes them was made after this.
         """
         self._health.tick_lateness(late_ns)
         for stream in self._streams.values():
@@ -247,15 +234,12 @@ class Core:
         self._links, self._told = links, _told(links)
         self._health.controller = controller
 
-    def restore(self, kept: Snapshot, now_ns: int) -> None:
-        """From here on this core is the one that was at rest, as far as it has seen what that one saw before.
-
-        Args:
-            kept: the snapshot.
-            now_ns: when it was, monotonic.
-        """
-        if self.command is not None:
-            restore(self.command, kept, now_ns)
+    def _arbiter(self, kind: Kind, now_ns: int, *values: object) -> Arbiter | None:
+        """Write down what the arbiter is given now. Returns the arbiter; None if the gateway only listens."""
+        if self.command is None or self._journal is None:
+            return None
+        self._journal.add((kind, now_ns, *values))
+        return self.command.arbiter
 
     def last_batches(self, wall_ns: int) -> list[Sample]:
         """The gateway ends: the raw frames and the journal that have not been published yet."""
@@ -265,33 +249,28 @@ class Core:
 
     def latch_guard_stop(self, words: str, now_ns: int) -> None:
         """The guard stopped the robot before this start, and nobody has reset that: latched, with these words."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.GUARD_STOP, now_ns, words))
-            self.command.arbiter.engagement.latch(Reason.GUARD, words, now_ns)
+        if arbiter := self._arbiter(Kind.GUARD_STOP, now_ns, words):
+            arbiter.engagement.latch(Reason.GUARD, words, now_ns)
 
     def note_crash(self, now_ns: int) -> None:
         """The gateway before this one did not end in order: the first robot that is found moving is latched."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.CRASHED, now_ns))
-            self.command.arbiter.engagement.is_after_crash = True
+        if arbiter := self._arbiter(Kind.CRASHED, now_ns):
+            arbiter.engagement.is_after_crash = True
 
     def warn(self, words: str, now_ns: int) -> None:
         """Report a finding of the start as an event, in these words."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.WARNING, now_ns, words))
-            self.command.arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
+        if arbiter := self._arbiter(Kind.WARNING, now_ns, words):
+            arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
     def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
         """Take the lease from its holder, whose grant does not hold any more."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.END_LEASE, now_ns, reason, detail))
-            self.command.arbiter.end_lease(reason, detail, now_ns)
+        if arbiter := self._arbiter(Kind.END_LEASE, now_ns, reason, detail):
+            arbiter.end_lease(reason, detail, now_ns)
 
     def bar(self, bars: dict[Reason, str], now_ns: int) -> None:
         """Nobody may engage the robot for these reasons, each with its words; none lets them again."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.BARS, now_ns, bars))
-            self.command.arbiter.engagement.bars = bars
+        if arbiter := self._arbiter(Kind.BARS, now_ns, bars):
+            arbiter.engagement.bars = bars
 
     @property
     def bars(self) -> dict[Reason, str]:
@@ -306,9 +285,8 @@ class Core:
 
     def shut_down(self, now_ns: int) -> None:
         """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.SHUT_DOWN, now_ns))
-            self.command.arbiter.engagement.shut_down(now_ns)
+        if arbiter := self._arbiter(Kind.SHUT_DOWN, now_ns):
+            arbiter.engagement.shut_down(now_ns)
 
     def hears_commands(self, now_ns: int) -> bool:
         """Return True if somebody else commands the chassis: another computer, or a guard."""
@@ -337,9 +315,8 @@ class Core:
 
     def take_over(self, former: Carried, now_ns: int) -> None:
         """Begin where the gateway before this one ended: what was latched stays latched until a reset."""
-        if self.command is not None and self._journal is not None:
-            self._journal.add((Kind.CARRIED, now_ns, msgspec.structs.astuple(former)))
-            take_over(self.command, former, now_ns)
+        if arbiter := self._arbiter(Kind.CARRIED, now_ns, msgspec.structs.astuple(former)):
+            take_over(arbiter, former, now_ns)
 
     @property
     def is_at_rest(self) -> bool:

@@ -1,22 +1,15 @@
-"""The journal of a core's inputs, and its checkpoints: the classes that they can hold, and the way back.
+"""The journal of a core's inputs, and its checkpoints. Pure.
 
-The journal: everything the core was given, in its order and with its times. Pure.
+With the configuration and the run number the journal is enough to run the core again: see ``gateway.rerun``. An
+input is an array: its kind, the monotonic time, and what the core's method of that kind was given. Once a
+minute, while the gateway is at rest, it says what it would have to be remembered by, so that what follows is
+enough.
 
-With the configuration and the run number it is enough to run the core again: see ``gateway.rerun``. An input
-is an array: its kind, the monotonic time, and what the core's method of that kind was given. Once a minute, while
-the gateway is at rest, it says what it would have to be remembered by, so that what follows is enough.
-
-The classes that a checkpoint can hold, under the names that it has for them.
-
-Every log has these names in it. Classes and attributes can be moved and renamed in the code; here an alias and the
-name of an attribute stay as they are. An alias is what the class was called when it was first in a checkpoint.
-
-The whole state of the core as plain values, and back into a new core. Pure.
-
-A checkpoint names classes and attributes, by the names of ``gateway.journal``, and holds their values:
-numbers, texts, bytes, enumerations, containers, and the product's own objects. What a core is made with and never
-changes, such as decoders, layouts and functions, is left out: a new core of the same settings has it. Nothing in a
-checkpoint is code, and no class outside of that table can be made from it.
+A checkpoint is the whole state of the core as plain values, by classes and attributes. Every log has these
+names in it: classes and attributes can be moved and renamed in the code, an alias stays what the class was
+called when it was first in a checkpoint. What a core is made with and never changes, such as decoders, layouts
+and functions, is left out. Nothing in a checkpoint is code, and no class outside of the table can be made from
+it.
 """
 
 from __future__ import annotations
@@ -146,23 +139,8 @@ class JournalGapError(BrokenJournalError):
     """Part of a run's journal is missing, so it cannot be run again."""
 
 
-def read(journals: Iterable[Journal]) -> Iterator[Input]:
-    """The inputs of a run, in their order; a log may hold its journals in any, and some of them twice.
-
-    Raises:
-        JournalGapError: they do not begin with the first input, some are missing, or they are of several runs.
-        BrokenJournalError: one cannot be read.
-    """
-    once = {(journal.first, journal.run): journal for journal in journals}
-    yield from follow([journal for _, journal in sorted(once.items())], 0)
-
-
 def follow(journals: Iterable[Journal], first: int | None = None) -> Iterator[Input]:
-    """The inputs of journals that follow each other.
-
-    Args:
-        journals: of one run, in their order.
-        first: the place of the first input; None takes it as it comes.
+    """The inputs of a run's journals, in their order, from this place on; None takes it as it comes.
 
     Raises:
         JournalGapError: some are missing, or another run begins.
@@ -190,16 +168,6 @@ def inputs_of(journal: Journal) -> list[Input]:
         return _DECODER.decode(journal.inputs)
     except (ValueError, RecursionError) as error:  # Not UTF-8, or nested too deeply, as msgspec raises it too.
         raise BrokenJournalError(f"inputs {journal.first} on cannot be read: {error}") from error
-
-
-def reach(journals: Iterable[Journal]) -> dict[int, int]:
-    """Count what can be run again: of each run the inputs from its first on, up to a gap; 0 without it."""
-    reached: dict[int, int] = {}
-    for journal in sorted(journals, key=lambda one: one.first):
-        expected = reached.setdefault(journal.run, 0)
-        if journal.first == expected:
-            reached[journal.run] += journal.count
-    return reached
 
 
 CLASSES: Final[dict[str, type]] = {
@@ -330,11 +298,7 @@ def checkpoint(root: object) -> Tree:
 
 
 def resume(root: object, state: bytes) -> None:
-    """Bring a new object into the state of a checkpoint.
-
-    Args:
-        root: made with the same arguments as the one of which the checkpoint was taken.
-        state: the checkpoint, as MessagePack.
+    """Bring a new object, made with the same arguments, into the state of a checkpoint.
 
     Raises:
         CheckpointError: it does not fit. The object is of no use any more.

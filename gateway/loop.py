@@ -105,13 +105,7 @@ class RequestInbox(Protocol):
         ...
 
     def drain(self, holder: str, lease: int, after: int) -> list[RawRequest]:
-        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
-
-        Args:
-            holder: who holds the lease; empty if nobody does.
-            lease: its number.
-            after: the sequence of the last drive that was accepted.
-        """
+        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'."""
         ...
 
     def statements(self) -> list[RawRequest]:
@@ -211,13 +205,6 @@ class Manager(Protocol):
         ...
 
 
-class NoManager:
-    """Nobody manages this process."""
-
-    def alive(self, status: str) -> None:
-        """Nobody listens."""
-
-
 class LoopPorts(msgspec.Struct):
     """The ports of the loop. Inbox, guard and notes are None for a gateway that only listens."""
 
@@ -230,7 +217,7 @@ class LoopPorts(msgspec.Struct):
     has_realtime: Callable[[], bool] = lambda: False
     signed: SignedModePort | None = None
     notes: Callable[[], tuple[str, ...]] = tuple
-    manager: Manager = msgspec.field(default_factory=NoManager)
+    manager: Manager | None = None
     latch_note: LatchNoteView | None = None
     mileage_note: MileageNoteView | None = None
 
@@ -250,14 +237,7 @@ def _no_collections() -> Iterator[None]:
 
 @_no_collections()
 def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callable[[], bool]) -> None:
-    """Run until ``stopped()``, and then until the robot is at rest.
-
-    Args:
-        ports: bus, Zenoh, requests, guard.
-        core: decides what a frame, a request and a tick mean.
-        info: the payload of ``gateway/info``.
-        stopped: asked every tick.
-    """
+    """Run until ``stopped()``, asked every tick, and then until the robot is at rest."""
     monotonic_ns = time.monotonic_ns
     sink = ports.sink
     reader = Reader(ports, core)
@@ -298,7 +278,7 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         _tick(ports, core, admission, links, now_ns, late_ns)
         sink.answer(info)
         # Last in the round, so that only one that was done feeds the watchdog.
-        if ticks % SELDOM_TICKS == 0:
+        if ticks % SELDOM_TICKS == 0 and ports.manager is not None:
             ports.manager.alive(_status(core, links))
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if ports.guard is not None and core.command is not None:
@@ -435,12 +415,8 @@ class Reader:
                 return
 
 
-def _grant_ends_s(ports: LoopPorts) -> int | None:
-    return None if ports.signed is None else ports.signed.authority.grant_ends_s
-
-
 def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bool) -> Links:
-    bus, sink = ports.bus, ports.sink
+    bus, sink, signed = ports.bus, ports.sink, ports.signed
     peers = sink.peers() if is_full else before.zenoh_peers
     guard = ports.guard.look() if ports.guard is not None else NO_GUARD
     if bus.is_up and not before.bus_up:
@@ -467,8 +443,8 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
         realtime=ports.has_realtime() if is_full else before.realtime,
         inbox_drops=ports.inbox.drops if ports.inbox is not None else 0,
         outside=sink.outside() if is_full else before.outside,
-        certificate_ends_s=None if ports.signed is None else ports.signed.certificate_ends_s,
-        grant_ends_s=_grant_ends_s(ports) if is_full else before.grant_ends_s,
+        certificate_ends_s=None if signed is None else signed.certificate_ends_s,
+        grant_ends_s=signed.authority.grant_ends_s if signed is not None and is_full else before.grant_ends_s,
         notes=ports.notes() if is_full else before.notes,
     )
 

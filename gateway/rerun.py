@@ -1,13 +1,10 @@
-"""Recorded runs through the core again, with their settings or with others.
+"""Recorded runs through the core again, with their settings or with others. Pure.
 
-Run the core again from its journal: the same inputs must give the same decisions and the same frames. Pure.
-
-A recorded run repeated twice: as it was, and as it would have been with other settings. Pure.
-
-Both runs get the same inputs at the same times. Where the other one commands the chassis differently, a virtual
-chassis answers in place of the recorded one, until both robots stand again with nobody in command: see
-``gateway.sim.model``. What people would have done otherwise nobody knows: the requests stay as recorded, but
-for what the arbiter gave out itself, the lease and the challenge to echo.
+The same inputs must give the same decisions and the same frames. With other settings both runs get the same
+inputs at the same times. Where the other one commands the chassis differently, a virtual chassis answers in
+place of the recorded one, until both robots stand again with nobody in command: see ``gateway.sim.model``. What
+people would have done otherwise nobody knows: the requests stay as recorded, but for the lease and the
+challenge, which the arbiter gave out itself.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ from gateway.chassis.frame import Frame
 from gateway.choice import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.command.lease import HeldLease
-from gateway.command.restart import Carried, Snapshot
+from gateway.command.restart import Carried, Snapshot, restore
 from gateway.command.rulings import Credentials, RawRequest
 from gateway.core import Core
 from gateway.journal import LINKS, BrokenJournalError, CheckpointError, Input, follow
@@ -83,18 +80,17 @@ class Run(msgspec.Struct, frozen=True):
                 # Nobody asked anything then.
                 if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
                     give(core, one)
-            core.restore(msgspec.convert(kept, Snapshot), now_ns)
+            if core.command is not None:
+                restore(core.command, msgspec.convert(kept, Snapshot), now_ns)
         return core
 
 
 def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
     """All that the core says when a run is given to it again; at last the batches that are not full.
 
-    Args:
-        settings: those of the run, or others.
-        journals: of one run, in their order and without a gap; they may come bit by bit. Where they do not begin
-            with the run's first input, it is run again from the first checkpoint or place of rest. A run made
-            under other rules is run from its first input alone, for those rules remembered other things.
+    The journals are of one run, in their order and without a gap, and may come bit by bit. Where they do not begin
+    with the run's first input, it is run again from the first checkpoint or place of rest. A run made under other
+    rules is run from its first input alone, for those rules remembered other things.
 
     Raises:
         BrokenJournalError: an input cannot be given to a core, or some are missing.
@@ -114,9 +110,7 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
 def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
     """The run that journals hold, from its first input, checkpoint or place of rest on; None if there is none.
 
-    Args:
-        journals: as for ``rerun``.
-        at_rest: no checkpoint will do: the settings may be others than those of the run.
+    At rest: no checkpoint will do, for the settings may be others than those of the run.
     """
     rest = iter(journals)
     first = next(rest, None)
@@ -159,10 +153,6 @@ def _fits(state: bytes) -> bool:
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
     """For each input what the core returns: the frames to send, and the samples to publish.
-
-    Args:
-        core: a new one, with the configuration and the run number of the journal.
-        inputs: the journal's, from the first on; see ``gateway.journal.read``.
 
     Raises:
         BrokenJournalError: an input cannot be given to a core, or the core would hold ever more of them.
@@ -255,10 +245,6 @@ _COUNTED_BYTES: Final = 6
 """Bytes of a command frame before alive counter and checksum (manual V2.0, section 5)."""
 
 
-Effects = TickEffects | list[Sample]
-"""All that comes of one input: of a tick its effects, else samples."""
-
-
 class GivenOutput(msgspec.Struct, frozen=True, gc=False):
     """A sample of one of the two runs.
 
@@ -272,32 +258,16 @@ class GivenOutput(msgspec.Struct, frozen=True, gc=False):
 
 
 def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
-    """All that the core says, and would have said.
-
-    Args:
-        settings: those of the run.
-        other: those to try.
-        journals: of one run, as in ``gateway.rerun.rerun``.
-    """
+    """All that the core says, and would have said with the other settings; see ``rerun``."""
     run = run_of(journals, at_rest=True)
     if run is not None:
-        pair = RunPair(run.core(settings), run.core(other))
+        pair = _Pair(run.core(settings), run.core(other))
         for one in run.inputs:
-            for returned, is_other in zip(pair.give(one), (False, True), strict=True):
-                for sample in samples_of(returned):
-                    yield GivenOutput(sample, is_other)
+            yield from pair.give(one)
 
 
-class RunPair:
-    """The run as it was, and beside it the other one.
-
-    Args:
-        core: of the run.
-        other: with the other settings, in a state of the same moment.
-
-    Attributes:
-        core, other: the same.
-    """
+class _Pair:
+    """The run as it was, and beside it the one with other settings, both in a state of the same moment."""
 
     def __init__(self, core: Core, other: Core) -> None:
         self.core = core
@@ -308,8 +278,8 @@ class RunPair:
         self._offered_other: list[Frame] = []
         self._resting_since_ns: int | None = None
 
-    def give(self, one: Input) -> tuple[Effects, Effects]:
-        """Give one input to both. Returns what each does."""
+    def give(self, one: Input) -> Iterator[GivenOutput]:
+        """Give one input to both. Yields what each says."""
         kind, now_ns = one[0], one[1]
         returned = give(self.core, one)
         if kind == Kind.FRAME:
@@ -322,10 +292,10 @@ class RunPair:
         if isinstance(returned, TickEffects) and isinstance(answer, TickEffects):
             self._compare(returned.frames, answer.frames, now_ns)
         for effects, is_other in ((returned, False), (answer, True)):
-            for sample in samples_of(effects):
+            for sample in effects.samples if isinstance(effects, TickEffects) else effects:
                 if sample.subject == SAFETY_STATE:
                     self._echo.published(sample, is_other=is_other)
-        return returned, answer
+                yield GivenOutput(sample, is_other)
 
     def _shown(self, one: Input) -> Input:
         stand_in = self._stand_in
@@ -431,8 +401,3 @@ _STATE: Final = msgspec.msgpack.Decoder(_State)
 
 def _told(frames: list[Frame]) -> list[tuple[int, bytes]]:
     return [(frame.can_id, frame.data[:_COUNTED_BYTES]) for frame in frames]
-
-
-def samples_of(returned: Effects) -> list[Sample]:
-    """The samples among what a core does."""
-    return returned.samples if isinstance(returned, TickEffects) else returned

@@ -51,13 +51,7 @@ class Arbiter:
     """
 
     def __init__(self, chassis: Chassis, settings: Settings, run: int) -> None:
-        """Begin in standby.
-
-        Args:
-            chassis: the robot's.
-            settings: limits and times.
-            run: a random number of this run, which distinguishes its leases and ticks from others'. Public.
-        """
+        """Begin in standby. The run's random number tells its leases and ticks from others'; it is public."""
         command = settings.command
         random = Random(run)  # noqa: S311 - tells runs apart; it keeps no secret
         self.tick_number = random.getrandbits(_TICK_BITS)
@@ -82,14 +76,7 @@ class Arbiter:
         return self.engagement.state
 
     def tick(self, chassis: ChassisState, requests: list[RawRequest], now_ns: int, late_ns: int) -> TickOutcome:
-        """Decide the command to the chassis for the next ten milliseconds.
-
-        Args:
-            chassis: its state now.
-            requests: those received since the last tick, stops first.
-            now_ns: monotonic.
-            late_ns: delay of this tick's beginning.
-        """
+        """Decide the command to the chassis for the next ten milliseconds. Requests come stops first."""
         self.tick_number += 1
         output = self.output
         self.monitor.update(chassis, now_ns, output.told)

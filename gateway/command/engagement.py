@@ -59,14 +59,7 @@ class Standing:
         self._stood_ns = now_ns + self._warning_ns
 
     def tick(self, now_ns: int, *, is_asked: bool, is_parked: bool, moves: bool) -> None:
-        """Note the speed that is asked for, and the one that is told.
-
-        Args:
-            now_ns: monotonic.
-            is_asked: a speed is asked for.
-            is_parked: none is told, whatever is asked for.
-            moves: one was told in the last tick.
-        """
+        """Note whether a speed is asked for, and whether one was told in the last tick. Parked, none is told."""
         if is_asked:
             self._asked_ns = now_ns
         if moves:

@@ -53,12 +53,7 @@ class Leases:
     """
 
     def __init__(self, duration_ns: int, random: Random) -> None:
-        """A desk without a lease.
-
-        Args:
-            duration_ns: a lease that is not renewed for this long expires.
-            random: the source of identifiers. It keeps no secret, so that a run can be run again.
-        """
+        """No lease yet. Identifiers are no secret: the run can be run again."""
         self.held: HeldLease | None = None
         self.given = 0
         self._duration_ns = duration_ns

@@ -205,15 +205,7 @@ class Plausibility:
     def check(
         self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int, *, is_engaged: bool = True
     ) -> list[Reason]:
-        """Return the reasons why the motion has been implausible for too long.
-
-        Args:
-            chassis: the chassis now.
-            told: its last command.
-            limit_mps: the speed limit in force.
-            now_ns: monotonic.
-            is_engaged: drive commands are executed; else it is being stopped, or not yet driven.
-        """
+        """Return the reasons why the motion has been implausible for too long."""
         elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
         self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)

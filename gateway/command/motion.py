@@ -20,7 +20,7 @@ from schemas.settings import AUTO_HOLD_NS, FOLLOWING_MPS, FOLLOWING_S, SHIFT_TIC
 
 
 class MotionLimits(msgspec.Struct, frozen=True):
-    """MotionLimits of motion. They can be lowered at run time, never raised."""
+    """Limits of motion. They can be lowered at run time, never raised."""
 
     speed_mps: float
     acceleration_mps2: float
@@ -159,15 +159,7 @@ class MotionProfile:
         dt_s: float,
         elapsed_s: float | None = None,
     ) -> Actuation:
-        """Return the command of this tick, on the way to the target.
-
-        Args:
-            target: the requested motion.
-            limits: those in force.
-            constraints: the other bounds.
-            dt_s: a tick.
-            elapsed_s: time since the last one, if it is late: the speed falls by that, and rises by a tick alone.
-        """
+        """Return the command of this tick. The speed falls by the time that has passed, and rises by a tick."""
         self.bounds = []
         angle_deg = self._within(target.angle_deg, limits.steering_deg, Bound.STEERING)
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, constraints)

@@ -118,13 +118,7 @@ class Handover:
         return chassis.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
 
     def is_obeyed_again(self, chassis: ChassisState, now_ns: int, *, is_taken: bool) -> bool:
-        """Return True if the chassis may execute the command it was left with. For each tick without output.
-
-        Args:
-            chassis: the chassis now.
-            now_ns: monotonic.
-            is_taken: another computer commands it.
-        """
+        """Return True if the chassis may execute the command it was left with. For each tick without output."""
         if is_taken:
             self.left = None
         if not chassis.bus_up:
@@ -143,15 +137,10 @@ def inferred_angle_deg(chassis: ChassisState, limits: MotionLimits) -> float:
 def inferred_actuation(
     chassis: ChassisState, limits: MotionLimits, wheelbase_m: float, left: Actuation | None = None
 ) -> Actuation:
-    """Infer the command that the chassis must have had.
+    """Infer the command that the chassis must have had, within the configured limits.
 
-    Args:
-        chassis: the chassis now.
-        limits: the configured ones; no speed is above them, nor above what they allow at the steering angle.
-        wheelbase_m: the chassis's.
-        left: the command that we left it with, if it may execute that again: no speed is above that one. If
-            others left it, the parking brake is applied where the gear is that of a parked robot, or is not known:
-            released, it may set a standing robot going.
+    No speed is above the one of the command that we left it with. If others left it, the parking brake is applied
+    where the gear is that of a parked robot, or is not known: released, it may set a standing robot going.
     """
     rolls = chassis.gear in IN_GEAR
     angle_deg = inferred_angle_deg(chassis, limits)
@@ -250,15 +239,7 @@ class Output:
     def step_motion(
         self, target: Target, setpoint: Setpoint, age: LinkAge, monitor: ChassisMonitor, now_ns: int
     ) -> Actuation:
-        """Return this tick's command to a chassis that is not being stopped.
-
-        Args:
-            target: the requested motion.
-            setpoint: the limits in force, and whether the parking brake stays applied.
-            age: of the holder's commands; it bounds the speed.
-            monitor: the chassis.
-            now_ns: monotonic.
-        """
+        """Return this tick's command to a chassis that is not being stopped."""
         chassis, pressed = monitor.chassis, monitor.pressed
         constraints = MotionConstraints(
             wheelbase_m=self._design.wheelbase_m,

@@ -16,6 +16,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.layout import Signals
+from gateway.command.arbiter import Arbiter
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.motion import Target
 from gateway.command.rulings import RawRequest
@@ -109,13 +110,7 @@ def as_array(kept: Snapshot) -> tuple[object, ...]:
 
 
 def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
-    """From here on the flow is the one that is remembered.
-
-    Args:
-        flow: a new one, which has seen the feedback of the last seconds.
-        kept: the snapshot.
-        now_ns: when it was, monotonic.
-    """
+    """Make a new flow, which has seen the feedback of the last seconds, the one of the snapshot."""
     arbiter = flow.arbiter
     arbiter.tick_number = kept.tick_number
     arbiter.link.challenges.restore(kept.challenges)
@@ -175,15 +170,9 @@ def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
     )
 
 
-def take_over(flow: CommandFlow, former: Carried, now_ns: int) -> None:
-    """Begin where the gateway before this one ended.
-
-    Args:
-        flow: a new one.
-        former: carried over from the one before it.
-        now_ns: monotonic.
-    """
-    engagement = flow.arbiter.engagement
+def take_over(arbiter: Arbiter, former: Carried, now_ns: int) -> None:
+    """Begin where the gateway before this one ended."""
+    engagement = arbiter.engagement
     for reason, detail in former.latched.items():
         engagement.latch(Reason(reason), detail, now_ns)
     engagement.stop_reason, engagement.stop_detail = Reason(former.stop_reason), former.stop_detail
@@ -202,11 +191,7 @@ class LeaseNumbers:
     """The number of each lease that was given."""
 
     def __init__(self, draw: Callable[[], int]) -> None:
-        """No lease was given yet.
-
-        Args:
-            draw: a random number from 1 to ``LEASE_MAX`` that nobody can foretell.
-        """
+        """No lease yet. A draw is a random number from 1 to ``LEASE_MAX`` that nobody can foretell."""
         self._draw = draw
         self._ids: dict[int, int] = {}
 

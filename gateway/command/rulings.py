@@ -267,11 +267,8 @@ class Latches:
     def add(self, reason: Reason, detail: str, now_ns: int, *, is_new_hit: bool) -> bool:
         """Latch a cause. Returns whether it was not latched before.
 
-        Args:
-            reason: the cause.
-            detail: its figures; those of the first time are kept, and of a remote stop the names of all times.
-            now_ns: monotonic.
-            is_new_hit: each one counts: a reset that was on its way is not meant for the newest.
+        The first detail is kept, and of a remote stop the names of all times. A reset that was on its way is not
+        meant for a new hit.
         """
         is_new = reason not in self.details
         if is_new:
@@ -301,11 +298,7 @@ class Latches:
 
     @property
     def newest(self) -> Reason:
-        """The cause that was latched last.
-
-        Raises:
-            IndexError: nothing is latched.
-        """
+        """The cause that was latched last; for where anything is."""
         return [*self.details][-1]
 
 

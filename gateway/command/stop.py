@@ -86,7 +86,7 @@ class StopSequence:
             last: the chassis's last command.
             deceleration_mps2: how fast the commanded speed goes to zero.
             now_ns: monotonic.
-            returns: so many times the robot moved when the enables were gone, in stops just before this one.
+            returns: number of times that the robot moved without enables, in stops just before this one.
             may_release: the gate admits that this stop gives the robot back to its motor, once.
             stood_by_motor: the robot stood by its motor until its parking brake was applied, just before.
         """
@@ -169,12 +169,7 @@ class StopSequence:
             self._enter(StopPhase.PARK, now_ns)
 
     def tick(self, now_ns: int, feedback: StopFeedback) -> Actuation | None:
-        """Return the command of this tick; None when the sequence has ended.
-
-        Args:
-            now_ns: monotonic.
-            feedback: the chassis now.
-        """
+        """Return the command of this tick; None when the sequence has ended."""
         elapsed_ns = min(now_ns - self._ticked_ns, _STEP_MAX_NS)
         self._ticked_ns = now_ns
         match self.phase:

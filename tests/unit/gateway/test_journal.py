@@ -32,8 +32,6 @@ from gateway.journal import (
     JournalWriter,
     checkpoint,
     follow,
-    reach,
-    read,
 )
 from gateway.rerun import give, rerun, run_again, run_of
 from gateway.telemetry.health import Links
@@ -70,19 +68,19 @@ def inputs_at(core: Core, at_ms: int) -> list[Input]:
     (sample,) = (sample for sample in samples if sample.subject == "journal")
     journal = codec.decode(BY_NAME["journal"], sample.payload)
     assert isinstance(journal, Journal)
-    return list(read([msgspec.structs.replace(journal, first=0)]))[:-1]
+    return list(follow([journal]))[:-1]
 
 
 def test_inputs_come_back_in_their_order() -> None:
-    """Whatever batches they were published in, in any order and twice, also where the end is cut off.
+    """Whatever batches they were published in, also where the end is cut off.
 
     Each says its place, so that a gap can be seen. They are plain MessagePack: any language reads them.
     """
     batches = journals([1, 300, 2, 70])
     assert [(one.run, one.sequence, one.first, one.count) for one in batches[:2]] == [(7, 0, 0, 1), (7, 1, 1, 300)]
     assert msgspec.msgpack.decode(batches[0].inputs) == [[5, 0]]
-    for count, left in ((373, batches), (373, [*batches[2:], *batches[:3]]), (301, batches[:2])):
-        assert list(read(left)) == [(Kind.SHUT_DOWN, place) for place in range(count)]
+    for count, left in ((373, batches), (301, batches[:2])):
+        assert list(follow(left, 0)) == [(Kind.SHUT_DOWN, place) for place in range(count)]
     assert JournalWriter(7).take(WALL_NS) is None
 
 
@@ -94,7 +92,7 @@ def test_a_damaged_journal_is_refused(inputs: bytes) -> None:
     """No MessagePack, a text that is not UTF-8, or one list within the other without end."""
     (journal,) = journals([2])
     with pytest.raises(BrokenJournalError, match="inputs 0 on cannot be read"):
-        list(read([msgspec.structs.replace(journal, inputs=inputs)]))
+        list(follow([msgspec.structs.replace(journal, inputs=inputs)], 0))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +111,7 @@ def test_a_damaged_journal_is_refused(inputs: bytes) -> None:
 def test_a_journal_with_a_gap_is_refused(left: list[Journal], why: str) -> None:
     """Nothing that looks like a run comes out of it."""
     with pytest.raises(JournalGapError, match=why):
-        list(read(left))
+        list(follow(left, 0))
 
 
 def test_every_input_of_the_core_is_written_down() -> None:
@@ -155,14 +153,6 @@ def test_every_input_of_the_core_is_written_down() -> None:
         (Kind.SENT, 8, 0, WALL_NS + 8),
         (Kind.TICK, 10 * MS, WALL_NS + 10, 11, CHALLENGE),
     ]
-
-
-def test_a_log_tells_what_of_it_can_be_run_again() -> None:
-    """Each run from its first input up to the first gap; a run without its beginning not at all."""
-    whole, cut, late = journals([2, 3], run=1), journals([2, 3, 4, 5], run=2), journals([2, 3], run=3)
-    assert reach([*whole[::-1], *cut[:2], cut[3], *late[1:]]) == {1: 5, 2: 5, 3: 0}
-    with pytest.raises(JournalGapError, match="from its first input alone"):
-        list(read(late[1:]))
 
 
 # Checkpoints.

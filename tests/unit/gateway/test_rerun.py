@@ -16,7 +16,7 @@ from gateway.chassis.frame import Frame
 from gateway.choice import CHASSIS
 from gateway.command.restart import QUIET_NS
 from gateway.core import Core
-from gateway.journal import BrokenJournalError, JournalGapError, inputs_of, read
+from gateway.journal import BrokenJournalError, JournalGapError, follow, inputs_of
 from gateway.rerun import WARM_UP_NS, give, rerun, run_again, run_of, what_if
 from recorder.encoding.protobuf import compile_encoder
 from schemas import codec
@@ -67,7 +67,7 @@ class ReadBack:
 
     def run_again(self) -> Iterator[tuple[list[Frame], list[Sample]]]:
         """The core, run again."""
-        inputs = list(read(self.journals))
+        inputs = list(follow(self.journals, 0))
         core = Core(CHASSIS, self.settings, "", inputs[0][1], self.journals[0].run)
         return run_again(core, inputs)
 
