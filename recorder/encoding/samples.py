@@ -51,8 +51,8 @@ class ReceivedSample(Protocol):
         """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
 
     @property
-    def source_sequence(self) -> int:
-        """Its publisher's sequence number on the key; 0 if the sample has none."""
+    def source(self) -> tuple[str, int] | None:
+        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
 
     @property
     def deleted(self) -> bool:
@@ -67,7 +67,7 @@ class WaitingSample(msgspec.Struct, frozen=True, gc=False):
     payload: bytes
     attachment: bytes
     zenoh_time_ns: int
-    source_sequence: int
+    source: tuple[str, int] | None
     deleted: bool
     received_ns: int
     is_reply: bool
@@ -80,7 +80,7 @@ def copy(sample: ReceivedSample) -> WaitingSample:
         sample.payload,
         sample.attachment,
         sample.zenoh_time_ns,
-        sample.source_sequence,
+        sample.source,
         sample.deleted,
         sample.received_ns,
         sample.is_reply,
@@ -92,6 +92,9 @@ SEQUENCE_SPAN: Final = 2**32
 
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """Reasons for the loss of samples that were never decoded: their sequence is not known."""
+
+SOURCES_MAX: Final = 16
+"""Sources of one key that are followed; of more, those that were silent longest begin anew."""
 
 RESTART_STEP: Final = 2**24
 """A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
@@ -117,6 +120,8 @@ class KeyCounters:
         self.lost: dict[GapReason, int] = {}
         self.lost_bus: int | None = None
         self._bus_count: int | None = None
+        # By source, the one that was heard last at the end.
+        self._sources: dict[str, int | None] = {}
         self.next: int | None = None
         """The sequence that the next sample should have; None before the first."""
         self._unread = 0
@@ -157,6 +162,14 @@ class KeyCounters:
         # What was dropped unread since the sample before this one left a gap, too.
         self.missed += max(0, step - self._unread) if self._unread_at == expected else step
         return True
+
+    def count_source(self, source: str, sequence: int) -> None:
+        """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
+        self.next = self._sources.pop(source, None)
+        self.count_sequence(sequence % SEQUENCE_SPAN)
+        self._sources[source] = self.next
+        if len(self._sources) > SOURCES_MAX:
+            del self._sources[next(iter(self._sources))]
 
 
 SCHEMA_NAME: Final = "foxglove.Log"

@@ -181,6 +181,15 @@ class Channels:
             for topic, route in sorted(self._by_topic.items())
         }
 
+    @property
+    def latest(self) -> dict[str, str]:
+        """The newest state of each topic, as JSON, with its log time."""
+        return {
+            topic: msgspec.json.encode({"log_time_ns": latest.log_ns, "message": latest.message}).decode()
+            for topic, route in sorted(self._by_topic.items())
+            if (latest := route.latest).message is not None
+        }
+
     def get(self, key: str) -> Route | None:
         """The route of a key's samples, if it has a channel."""
         return self._by_key.get(key)

@@ -72,6 +72,12 @@ CONTINUED_NAME: Final = "cruiser.continued"
 STANDING_MPS: Final = 0.05
 """A robot that reads a lower speed stands."""
 
+LATEST_NAME: Final = "cruiser.latest"
+"""The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
+
+No message of a channel: no message may be there twice when the files of a log are put together.
+"""
+
 GAPS_MAX: Final = 10_000
 """Gaps of all logs that wait to be reported."""
 
@@ -276,9 +282,12 @@ class RobotLog:
         if route.subject is not None:
             route = self.channels.declare_raw(sample.key)
         time_ns = log_time(sample.zenoh_time_ns)
+        source, sequence = sample.source or ("", 0)
+        if source and route.subject is None:
+            route.counters.count_source(source, sequence)
         # Without a time of the source's, the receipt's is the best there is.
         records = [(time_ns or log_ns, keep_raw(sample, reason, time_ns))]
-        self._add(route, sample.source_sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
+        self._add(route, sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
 
     def _add(self, route: Route, sequence: int, now_ns: int, log_ns: int, records: Sequence[Record]) -> None:
         """Append the records of a sample. A chunk is handed over as soon as it is full: many more may follow."""
@@ -460,6 +469,7 @@ class RobotLog:
         if self._files > 1:
             continued = {"file": str(self._files), "because": self._ended_by}
             self._apply(WriteMetadata(self.name, CONTINUED_NAME, continued))
+            self._apply(WriteMetadata(self.name, LATEST_NAME, self.channels.latest))
         events, self._pending_events = self._pending_events, deque(maxlen=PENDING_EVENTS_MAX)
         for topic, event in events:
             self.add_own(topic, event, now_ns)

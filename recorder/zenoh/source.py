@@ -91,9 +91,9 @@ class ZenohSample(msgspec.Struct, frozen=True, gc=False):
         return 0 if timestamp is None else timestamp.get_time_as_ntp64().as_nanos()
 
     @property
-    def source_sequence(self) -> int:
+    def source(self) -> tuple[str, int] | None:
         info = self.received.source_info
-        return 0 if info is None else info.source_sn
+        return None if info is None else (str(info.source_id), info.source_sn)
 
     @property
     def deleted(self) -> bool:

@@ -365,7 +365,7 @@ def samples(data: bytes) -> None:
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
     subject = SAMPLED[data[0] % len(SAMPLED)]
     for sequence in range(2):
-        sample = FakeSample(key_of(subject.type), subject.encoding, data[1:], source_sequence=sequence)
+        sample = FakeSample(key_of(subject.type), subject.encoding, data[1:], source=("publisher", sequence))
         writer.apply(recorder.receive([sample], sequence * NS))
     writer.apply(recorder.tick(3 * NS, WALL_NS, {}))
 

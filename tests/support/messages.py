@@ -172,7 +172,7 @@ class FakeSample(msgspec.Struct, frozen=True):
     attachment: bytes = b""
     zenoh_time_ns: int = 0
     deleted: bool = False
-    source_sequence: int = 0
+    source: tuple[str, int] | None = None
     received_ns: int = WALL_NS
     is_reply: bool = False
 

@@ -144,6 +144,7 @@ a quiet life                | begin 1 sync 2 end                                
 a full disk                 | begin 1 written full 2 sync left well 3 end                 | 1 / 2 3
 a disk that fails           | begin 1 written broken 2 sync left well 3 end               | 1 / 2 3
 a bad start                 | broken begin 1 faulty well told-back end                    | 1
+a read-only disk            | begin 1 written readonly 2 sync left well 3 end             | 1 / 2 3
 what is taken and not kept  | begin 1 sync kept forgets 2 3 sync 4 told remembers 5 end   | 1 / 2 3 4 5
 the same at the end         | begin 1 sync kept forgets 2 3 close faulty remembers closed | 1 / 2 3
 a failed sync and a silence | stalls forgets begin 1 sync asked answers faulty remembers kept end | 1
@@ -200,6 +201,7 @@ def play(logs: Path, writer: LogWriter, disk: SlowDisk, steps: str) -> None:
         "large": lambda: writer.submit([chunk(100, 20_000)]),
         "full": lambda: setattr(FaultyFile, "error", errno.ENOSPC),
         "broken": lambda: setattr(FaultyFile, "error", errno.EIO),
+        "readonly": lambda: setattr(FaultyFile, "error", errno.EROFS),
         "well": lambda: setattr(FaultyFile, "error", 0),
         "hangs": FaultyFile.goes_on.clear,
         "goes-on": FaultyFile.goes_on.set,

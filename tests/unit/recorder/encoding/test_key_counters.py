@@ -1,6 +1,6 @@
 """Losses by sequence."""
 
-from recorder.encoding.samples import KeyCounters
+from recorder.encoding.samples import SOURCES_MAX, KeyCounters
 from schemas.recording import GapReason
 
 
@@ -41,3 +41,14 @@ def test_what_has_come_after_all_is_missed_no_more() -> None:
     counters.find()
     counters.find()
     assert counters.missed == 0
+
+
+def test_each_source_of_a_key_has_a_sequence_of_its_own() -> None:
+    """Two that take turns do not look like losses, and hide none; anybody may make up any number of them."""
+    counters = KeyCounters()
+    for source, sequence in (("a", 5), ("a", 7), ("b", 900), ("b", 902), ("a", 8), ("b", 906)):
+        counters.count_source(source, sequence)
+    assert counters.missed == 1 + 1 + 3
+    for number in range(10 * SOURCES_MAX):
+        counters.count_source(str(number), 7)
+    assert (counters.missed, len(counters._sources)) == (5, SOURCES_MAX)

@@ -47,7 +47,7 @@ class Received:
     """A sample that holds on to the buffer that it came in."""
 
     key, encoding, payload, attachment = "k", "x", b"payload", b"attachment"
-    zenoh_time_ns, received_ns, source_sequence, deleted, is_reply = 1, 2, 3, True, True
+    zenoh_time_ns, received_ns, source, deleted, is_reply = 1, 2, ("source", 3), True, True
 
 
 def test_what_waits_is_a_copy() -> None:
@@ -58,7 +58,7 @@ def test_what_waits_is_a_copy() -> None:
     del received
     assert gone() is None
     (taken,) = inbox.take(1, 1000)
-    for name in ("key", "encoding", "payload", "attachment", "zenoh_time_ns", "received_ns", "source_sequence"):
+    for name in ("key", "encoding", "payload", "attachment", "zenoh_time_ns", "received_ns", "source"):
         assert getattr(taken, name) == getattr(Received, name)
     assert taken.deleted
     assert taken.is_reply

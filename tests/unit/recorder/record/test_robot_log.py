@@ -1,5 +1,6 @@
 """One robot's log, without I/O."""
 
+import json
 import tracemalloc
 from collections.abc import Callable, Sequence
 from enum import Enum
@@ -439,7 +440,7 @@ def test_a_file_in_which_nothing_is_received_is_ended() -> None:
 
 
 def test_the_next_file_begins_with_the_next_sample() -> None:
-    """Named after its time; it says what it continues. Nothing is doubled."""
+    """Named after its time; it says what it continues, and what the newest state was. Nothing is doubled."""
     context = LogContext()
     log = RobotLog(ROLLING, context)
     log.receive_sample(sample_of(gear(4)), 0, WALL_NS)
@@ -455,6 +456,9 @@ def test_the_next_file_begins_with_the_next_sample() -> None:
     assert context.actions[0] == OpenLog("x", "x", WALL_NS + SECOND)
     records = {one.name: one.entries for one in context.actions if isinstance(one, WriteMetadata)}
     assert records["cruiser.continued"] == {"file": "2", "because": "signal"}
+    assert list(records["cruiser.latest"]) == [GEAR_KEY]
+    latest = json.loads(records["cruiser.latest"][GEAR_KEY])
+    assert (latest["log_time_ns"], latest["message"]["sequence"]) == (WALL_NS, 4)
     log.close(SECOND)
     (chunk,) = [one.chunk for one in context.actions if isinstance(one, WriteChunk)]
     assert chunk.counts == {1: 1}
