@@ -32,7 +32,6 @@ def add_link_arguments(parser: argparse._ActionsContainer) -> None:
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name a robot, and the bus of its chassis."""
     parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot: its chunk of every key")
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
     parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")

@@ -27,8 +27,7 @@ ERROR_STATE_INDICATOR: Final = 0x2
 
 COUNTER_SPAN: Final = 16
 
-LATE_MAX_NS: Final = 10_000_000_000
-"""Nothing waits for longer between the bus and its reader."""
+LATE_MAX_NS: Final = 10_000_000_000  # nothing waits for longer between the bus and its reader
 
 
 class UnseenRounds:

@@ -29,8 +29,7 @@ _ENCODING: Final = re.compile(
 
 _VALUE: Final = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
-_MEMBERS_KEPT: Final = 1024
-"""So many values of others' versions are remembered."""
+_MEMBERS_KEPT: Final = 1024  # so many values of others' versions are remembered
 
 _MAP_16: Final = 0xDE
 _FIX_MAP: Final = 0x80
@@ -59,7 +58,6 @@ def other_version(encoding: str, known: str) -> Literal["newer", "older", ""]:
 
 
 def names_schema(encoding: str) -> bool:
-    """Report whether an encoding names a schema of ours, of whatever version."""
     return _ENCODING.fullmatch(encoding) is not None
 
 
@@ -84,7 +82,6 @@ def _foreign_member(kind: type[Member], value: str) -> Member:
 
 
 def is_foreign(member: Enum) -> bool:
-    """Report whether a member is of another version than this one."""
     return type(member).__members__.get(member.name) is not member
 
 
@@ -109,8 +106,7 @@ class PayloadFault(msgspec.Struct, frozen=True):
     detail: str
 
 
-encode: Final = msgspec.msgpack.Encoder().encode
-"""A message's MessagePack bytes."""
+encode: Final = msgspec.msgpack.Encoder().encode  # a message's MessagePack bytes
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
@@ -125,7 +121,6 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
 
 
 def sample_of(message: Message) -> Sample:
-    """Return a message as a sample of its subject."""
     return Sample(BY_TYPE[type(message)].name, encode(message))
 
 
@@ -134,7 +129,6 @@ PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionErro
 
 
 def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
-    """The typed message of a payload, or what is wrong with it."""
     try:
         message: Message = _reader(subject.type).decode(payload)
     except PAYLOAD_ERRORS as error:
@@ -256,8 +250,7 @@ def _reader(kind: type[Kind]) -> msgspec.msgpack.Decoder[Kind]:
 
 _UNTYPED: Final = msgspec.msgpack.Decoder()
 
-UNKNOWN_NAMED: Final = 8
-"""Fields that this version does not have: so many are named."""
+UNKNOWN_NAMED: Final = 8  # fields that this version does not have: so many are named
 
 FIELD_NAME_MAX: Final = 64
 

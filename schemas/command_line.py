@@ -29,16 +29,11 @@ class ExitCode(IntEnum):
     """The exit codes of every command."""
 
     OK = 0
-    FAILURE = 1
-    """Findings, or a failure that fits nothing below."""
-    USAGE = 2
-    """Wrong arguments or a wrong configuration."""
-    PARTIAL = 3
-    """Part of the input could be read or done."""
-    UNREACHABLE = 4
-    """A bus, a robot or a Zenoh node does not answer."""
-    REFUSED = 5
-    """The robot refused the request."""
+    FAILURE = 1  # findings, or a failure that fits nothing below
+    USAGE = 2  # wrong arguments or a wrong configuration
+    PARTIAL = 3  # part of the input could be read or done
+    UNREACHABLE = 4  # a bus, a robot or a Zenoh node does not answer
+    REFUSED = 5  # the robot refused the request
 
 
 class CommandError(Exception):
@@ -49,8 +44,7 @@ class CommandError(Exception):
         self.code = code
 
 
-LINE_LENGTH: Final = 300
-"""Of a text from elsewhere no more belongs into a line."""
+LINE_LENGTH: Final = 300  # of a text from elsewhere no more belongs into a line
 
 
 def plain(text: str) -> str:
@@ -59,12 +53,10 @@ def plain(text: str) -> str:
 
 
 def short(text: str) -> str:
-    """The text, or its beginning if it is too long for a line."""
     return text if len(text) <= LINE_LENGTH else f"{text[: LINE_LENGTH - 3]}..."
 
 
 def missing_extra(library: str, extra: str) -> CommandError:
-    """Return the error that ``library`` is missing, which this extra of the package brings."""
     return CommandError(f"this needs {library}{how_to_get(extra)}")
 
 
@@ -79,8 +71,7 @@ def how_to_get(extra: str) -> str:
     )
 
 
-SAFE_PATH_VARIABLE: Final = "PYTHONSAFEPATH"
-"""The same as ``-P``, for an interpreter that a library starts."""
+SAFE_PATH_VARIABLE: Final = "PYTHONSAFEPATH"  # the same as ``-P``, for an interpreter that a library starts
 
 
 def module_command(module: str, *words: str) -> tuple[str, ...]:
@@ -139,7 +130,6 @@ def address(text: str) -> tuple[str, int]:
 
 
 def shown_address(host: str, port: int) -> str:
-    """An IP address and a port, as they stand in a URL."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 

@@ -101,8 +101,7 @@ VARIABLE_PREFIX: Final = "CRUISER_"
 CONFIG_VARIABLE: Final = "CRUISER_CONFIG"
 """Names the TOML file; the one variable with the prefix that is no setting."""
 
-GIVEN: Final = "given"
-"""The field that is no setting: which settings of its table a source gave."""
+GIVEN: Final = "given"  # the field that is no setting: which settings of its table a source gave
 
 Kind = inspect.Type
 
@@ -141,7 +140,6 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def wants(self) -> str:
-        """Return a description of the valid values."""
         return _words(self.kind)
 
     @property
@@ -203,8 +201,7 @@ def _table() -> dict[str, Setting]:
     return table
 
 
-SETTINGS: Final = _table()
-"""Every setting by its dotted key, in the order of the classes."""
+SETTINGS: Final = _table()  # every setting by its dotted key, in the order of the classes
 
 SECTIONS: Final = tuple(field.name for field in msgspec.structs.fields(Settings))
 
@@ -213,8 +210,7 @@ _FLAG_WORDS: Final = {
     **dict.fromkeys(("true", "yes", "on", "1"), True),
     **dict.fromkeys(("false", "no", "off", "0"), False),
 }
-_SHOWN_LENGTH: Final = 60
-"""An error shows at most this many characters of a value."""
+_SHOWN_LENGTH: Final = 60  # an error shows at most this many characters of a value
 
 
 NO_GATEWAYS: Final = frozenset({"desk", "upload"})
@@ -283,7 +279,6 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
 
 
 def to_toml(settings: Settings) -> str:
-    """A gateway's settings in force as TOML, every one of them."""
     lines: list[str] = []
     for section in SECTIONS:
         if section in NO_GATEWAYS:
@@ -334,8 +329,7 @@ def _pass_gone(toml: TomlSource, where: str, key: str, unknown: str) -> None:
         logging.getLogger(__name__).warning("%s: %s", where, gone)
 
 
-RECORDED_MAX: Final = 64 * 1024
-"""The longest text of settings that is taken from a log."""
+RECORDED_MAX: Final = 64 * 1024  # the longest text of settings that is taken from a log
 
 RECORDED_DOTS: Final = 1_000
 """Dots in one line of such a text at most: for a key in many parts tomllib needs the square of their number."""

@@ -12,11 +12,8 @@ from schemas.messages import Variant
 
 WHEELBASE_M: Final = 0.660
 
-SPEED_TOP_MPS: Final = 2.222
-"""The chassis drives no faster, either way: 8 km/h."""
-
-STEERING_TOP_DEG: Final = 24.0
-"""The chassis steers no further, to either side."""
+SPEED_TOP_MPS: Final = 2.222  # the chassis drives no faster, either way: 8 km/h
+STEERING_TOP_DEG: Final = 24.0  # the chassis steers no further, to either side
 
 STEERING_PLAUSIBLE_DEG: Final = 25.0
 """Steering feedback beyond this is implausible: 24 deg to either side, to within 1."""
@@ -27,8 +24,7 @@ SPEED_PLAUSIBLE_MPS: Final = 3.0
 SPEED_BIT_MPS: Final = {Variant.COARSE: 0.04, Variant.FINE: 0.001}
 """The smallest speed that the drive command can carry (5 (3))."""
 
-SCALE_RATIO: Final = 40.0
-"""Between the speed scales of the two variants."""
+SCALE_RATIO: Final = 40.0  # between the speed scales of the two variants
 
 TURNING_RAW_MIN: Final = 2
 """A drive feedback of this raw value or more is one of a robot that moves, in either scale."""

@@ -47,12 +47,10 @@ from schemas.subjects import (
 
 ROOT: Final = Path(__file__).parent.parent
 
-Part = Callable[[], str]
-"""Makes the text of a part."""
+Part = Callable[[], str]  # makes the text of a part
 
 _PART: Final = re.compile(r"<!-- generated: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
-_UNBOUNDED: Final = 2**53 - 1
-"""From here on an upper bound is only what a number can hold, and says nothing."""
+_UNBOUNDED: Final = 2**53 - 1  # from here on an upper bound is only what a number can hold, and says nothing
 
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+\Z| (from )?[\d.-]+(?= or)| or null")
 """The parts of a type's description besides the type: bounds and null."""
@@ -106,7 +104,6 @@ def _key_row(subject: Subject) -> tuple[str, ...]:
 
 
 def settings_table() -> str:
-    """Every setting: key, environment variable, right values, start value, meaning."""
     rows = [
         (
             f"`{setting.key}`",
@@ -162,7 +159,6 @@ def message_tables() -> str:
 
 
 def command_table() -> str:
-    """Every verb: how it is sent, what it carries, what comes back."""
     rows = [
         (
             f"`{command.verb}`",
@@ -182,7 +178,6 @@ def command_table() -> str:
 
 
 def _schemas(command: Verb[Any]) -> tuple[str, str]:
-    """The last part of the encodings of request and reply, as a table has them."""
     request, reply = (
         f"`{encoding.rpartition('.')[2]}`" for encoding in (command.encoding, command.reply_encoding)
     )
@@ -190,7 +185,6 @@ def _schemas(command: Verb[Any]) -> tuple[str, str]:
 
 
 def _encodings(first: Verb[Any]) -> str:
-    """Return the sentence that gives the Zenoh encodings of requests and replies."""
     return (
         f"The Zenoh encoding of a request is made of its schema, `{first.encoding}`, and so is that of a reply, "
         f"`{first.reply_encoding}`."
@@ -244,7 +238,6 @@ def reason_table() -> str:
 
 
 def _records(names: Iterable[str]) -> list[str]:
-    """The records that stand within the fields of these classes."""
     definitions: dict[str, Any] = {}
     for name in names:
         definitions |= json_schema.schema(name).get("$defs", {})

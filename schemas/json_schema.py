@@ -81,7 +81,6 @@ def robot_schema_texts() -> dict[str, str]:
 
 
 def classes(kind: type[msgspec.Struct]) -> list[type]:
-    """The class and every class within its fields, enumerations too."""
     found: list[type] = []
 
     def visit(info: msgspec.inspect.Type) -> None:
@@ -104,7 +103,6 @@ def classes(kind: type[msgspec.Struct]) -> list[type]:
 
 
 def _definition(part: Mapping[str, Any], kind: type | None) -> Schema:
-    """A struct or an enumeration, described by its docstring."""
     described = dict(part)
     if kind is None:
         return described

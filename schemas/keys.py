@@ -36,15 +36,12 @@ def login_operator() -> str:
 
 
 def fitting(login: str) -> str:
-    """A login name as an operator's name."""
     return re.sub(r"[^A-Za-z0-9_.-]", "-", login)[:LONGEST] or "operator"
 
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
-ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"
-"""Of a robot's name, or of several with ``*`` for any part of them."""
-_CHUNK_PATTERN: Final = r"([a-z0-9-]|\$\*)+"
-"""Of the chunk that ``chunk_of`` makes of the latter."""
+ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"  # of a robot's name, or of several with ``*`` for any part of them
+_CHUNK_PATTERN: Final = r"([a-z0-9-]|\$\*)+"  # of the chunk that ``chunk_of`` makes of the latter
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
 OPERATOR_PATTERN: Final = r"[A-Za-z0-9_.-]{1,64}"
 ROOT_PATTERN: Final = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
@@ -102,7 +99,6 @@ _RECORDER: Final = re.compile(
 
 
 def parse(key: str) -> KeyParts | None:
-    """Return the parts of a key, or None if it is no key of ours."""
     return _parse(key) if len(key) <= KEY_MAX_LENGTH else None
 
 
@@ -150,8 +146,7 @@ def liveliness(root: str, robot: str = "*") -> str:
     return f"{root}/{robot}/{LIVELINESS_CHUNK}"
 
 
-ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"
-"""The liveliness token of every gateway, whatever its root is."""
+ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"  # the liveliness token of every gateway, whatever its root is
 
 
 def robot_of_liveliness(root: str, key: str) -> str | None:
@@ -160,8 +155,7 @@ def robot_of_liveliness(root: str, key: str) -> str | None:
     return match[1] if match else None
 
 
-ALL: Final = "*"
-"""Any robot, any operator or any verb, in a key expression."""
+ALL: Final = "*"  # any robot, any operator or any verb, in a key expression
 
 
 def command(root: str, robot: str, operator: str, verb: str) -> str:

@@ -18,14 +18,9 @@ from msgspec import Meta
 
 _INT64_MAX = 2**63 - 1
 
-SEQUENCE_MAX = 2**32 - 1
-"""The last sequence number; 0 follows."""
-
-BUS_MAX_LENGTH = 64
-"""Characters of a CAN bus's name: a log repeats it with every frame."""
-
-UNIT_KEYWORD = "unit"
-"""The JSON Schema keyword under which a field's unit is found."""
+SEQUENCE_MAX = 2**32 - 1  # the last sequence number; 0 follows
+BUS_MAX_LENGTH = 64  # characters of a CAN bus's name: a log repeats it with every frame
+UNIT_KEYWORD = "unit"  # the JSON Schema keyword under which a field's unit is found
 
 
 def unit_keyword(unit: str) -> dict[str, str]:

@@ -10,8 +10,7 @@ import ipaddress
 from collections import Counter
 from typing import Final, Generic, TypeVar
 
-BURST_S: Final = 0.1
-"""A pause is caught up by no more than this: nothing comes in a flood behind it."""
+BURST_S: Final = 0.1  # a pause is caught up by no more than this: nothing comes in a flood behind it
 
 
 class RateLimit:
@@ -32,21 +31,18 @@ class RateLimit:
 
 
 CONNECTIONS_MAX: Final = 256
-PEER_CONNECTIONS_MAX: Final = 128
-"""Connections that are open, of all and of one peer."""
+PEER_CONNECTIONS_MAX: Final = 128  # connections that are open, of all and of one peer
 
 FILES_SHARE: Final = 0.5
 """The part of the files that this process may open that connections may take. Zenoh and the logs have the rest."""
 
 CONNECTS_PER_S: Final = 100.0
-PEER_CONNECTS_PER_S: Final = 50.0
-"""Connections that are taken in, of all and of one peer..."""
+PEER_CONNECTS_PER_S: Final = 50.0  # connections that are taken in, of all and of one peer
 
 CONNECT_BURST_S: Final = 2.0
 """... after a pause of this time so many at once as it would have had room for."""
 
-REQUEST_S: Final = 10.0
-"""Within this time a connection asks for something; it counts anew from each answer."""
+REQUEST_S: Final = 10.0  # within this time a connection asks for something; it counts anew from each answer
 
 FRAME_BYTES: Final = 512
 """A frame of a WebSocket, and a piece that is read, counts as so many bytes besides what it carries."""
@@ -55,11 +51,8 @@ SOCKET_BYTES_PER_S: Final = 65_536
 SOCKET_BURST_S: Final = 1.0
 """Bytes of a WebSocket that are read. A page that drives says 50 messages a second, of 0.4 kB each."""
 
-PORTION_BYTES: Final = 8 * FRAME_BYTES
-"""Bytes of one connection that are read before it is the turn of others."""
-
-PIECES_MAX: Final = 64
-"""Pieces that a message of a WebSocket may have. Browsers do not cut them up."""
+PORTION_BYTES: Final = 8 * FRAME_BYTES  # bytes of one connection that are read before it is the turn of others
+PIECES_MAX: Final = 64  # pieces that a message of a WebSocket may have. Browsers do not cut them up
 
 Connection = TypeVar("Connection")
 
@@ -75,7 +68,6 @@ def peer_of(host: str) -> str:
 
 
 def most_connections(files: int) -> int:
-    """Return the number of connections for a process that may open so many files."""
     return max(1, min(CONNECTIONS_MAX, int(files * FILES_SHARE)))
 
 

@@ -316,8 +316,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
     ),
 }
 
-TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)
-"""Every reason in words; a test holds that none is missing."""
+TEXTS: Final[dict[Reason, Text]] = _Texts(_KNOWN_TEXTS)  # every reason in words; a test holds that none is missing
 
 _RENEW_ROBOT: Final = "'cruiser provision renew robot' on the robot, 'sign' at the authority, 'install --replace'"
 _RENEW_NEW: Final = _RENEW_ROBOT.replace("--replace'", "--replace --fingerprint F'")

@@ -14,8 +14,7 @@ from msgspec import Meta
 
 from schemas.messages import AngleDeg, SpeedMps, YawRateRadps, unit_keyword
 
-LEASE_MAX: Final = 2**53 - 1
-"""The largest whole number that every language's numbers hold exactly."""
+LEASE_MAX: Final = 2**53 - 1  # the largest whole number that every language's numbers hold exactly
 
 TICK_MAX: Final = 2**53 - 1
 

@@ -43,11 +43,8 @@ EVERY_INTERFACE: Final = "*"
 PROFILE_PATTERN: Final = rf"^([^=/\s]{{1,15}}|\*)=({FULL}|{OPERATOR}|{THIN})\Z"
 """The form of ``zenoh.profiles``: an interface of Linux, and its profile."""
 
-DOWNSAMPLING: Final = "downsampling"
-"""The path of the rules in Zenoh's configuration."""
-
-EARLY: Final = 1.1
-"""Zenoh lets a sample pass if the last one was a period before: the rules' are shorter, for some come early."""
+DOWNSAMPLING: Final = "downsampling"  # the path of the rules in Zenoh's configuration
+EARLY: Final = 1.1  # rules' periods are shorter than a profile's: some samples come early
 
 SEND_BUFFER_BYTES: Final = 16_384
 """The system's send buffer of each link of a robot with a profile; Linux doubles it.
@@ -108,7 +105,6 @@ def _rule(root: str, robot: str, subject: str, hz: float) -> dict[str, Any]:
 
 
 def rate_in_words(profile: str, subject: str) -> str:
-    """A subject's rate in a profile, for people."""
     hz = PROFILES[profile].get(subject)
     if hz is None:
         return "all"
@@ -123,29 +119,14 @@ PUBLISHED: Final = tuple(subject for subject in SUBJECTS if subject.pattern is P
 CHANNEL_LIMIT: Final = 35_000
 """Channels of a log for keys that anybody may make up. Those beyond share one of RawSamples, each with its key."""
 
-TABLE_CHANNEL_LIMIT: Final = 30_000
-"""Channels of a log for the key table's own: together, and with what the recorder says, below MCAP's 65,535."""
-
-BUS_LIMIT: Final = 8
-"""Buses of a robot whose keys count among the table's: their names are not in it."""
-
-ROBOT_LIMIT: Final = 1024
-"""Robots that have logs of their own and are asked who they are; those beyond it share one log."""
-
-OWNED_KEY_LIMIT: Final = 65_536
-"""Keys of which the recorder remembers the expression that they belong to; beyond it, it begins anew."""
-
-INCIDENT_MAX_NS: Final = 600_000_000_000
-"""An incident that goes on and on is one log of ten minutes, and another one after that."""
-
-INCIDENT_SHARE: Final = 0.5
-"""Incidents may fill so much of ``budget_bytes``: they are never deleted, and the logs need room too."""
-
-MARK_SHARE: Final = 0.25
-"""Marks, which nobody signs, begin incidents up to so much of ``budget_bytes``: faults have the rest."""
-
-INCIDENT_FLOOR_SHARE: Final = 0.5
-"""Incidents may leave so much of ``floor_bytes`` free: the reserve below the floor is for them."""
+TABLE_CHANNEL_LIMIT: Final = 30_000  # channels for the key table's own: with all others below MCAP's 65,535
+BUS_LIMIT: Final = 8  # buses of a robot whose keys count among the table's: their names are not in it
+ROBOT_LIMIT: Final = 1024  # robots that have logs of their own and are asked who they are; others share one log
+OWNED_KEY_LIMIT: Final = 65_536  # keys whose expression the recorder remembers; beyond it, it begins anew
+INCIDENT_MAX_NS: Final = 600_000_000_000  # an incident that goes on is one log of ten minutes, then another
+INCIDENT_SHARE: Final = 0.5  # share of ``budget_bytes`` for incidents, which are never deleted
+MARK_SHARE: Final = 0.25  # share up to which marks, which nobody signs, begin incidents: faults have the rest
+INCIDENT_FLOOR_SHARE: Final = 0.5  # share of ``floor_bytes`` that incidents leave free
 
 EventKindName = Literal[
     "lease", "engaged", "stop", "stopped", "latch", "reset", "takeover", "fault", "guard", "gateway"
@@ -235,20 +216,11 @@ class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """The endpoint where a gateway listens and every other command connects. One robot needs no router."""
 
-TICK_NS: Final = 10_000_000
-"""The loop's tick and the chassis's command period, 10 ms."""
-
-LATE_NS: Final = 50_000_000
-"""A tick that begins later than this is reported in the log."""
-
-LATE_TOLD_NS: Final = 1_000_000_000
-"""Shortest time between two such reports: a loop that is always late must not fill the history."""
-
-SILENCE_PERIODS: Final = 10
-"""A feedback frame is silent after this many of its periods without a valid one."""
-
-SILENCE_MIN_NS: Final = 100_000_000
-"""No feedback frame is silent sooner. Both are below the 160 ms at which the counter of a 10 ms frame aliases."""
+TICK_NS: Final = 10_000_000  # the loop's tick and the chassis's command period, 10 ms
+LATE_NS: Final = 50_000_000  # a tick that begins later than this is reported in the log
+LATE_TOLD_NS: Final = 1_000_000_000  # shortest time between two such reports, which fill no history
+SILENCE_PERIODS: Final = 10  # a feedback frame is silent after this many of its periods without a valid one
+SILENCE_MIN_NS: Final = 100_000_000  # none is silent sooner; both are below 160 ms, where a counter aliases
 
 CHECKSUM_FAULTS: Final = 5
 """This many checksum faults of one identifier within CHECKSUM_WINDOW_NS are a failure of that frame.
@@ -258,289 +230,121 @@ hours. None of these frames is ever believed."""
 
 CHECKSUM_WINDOW_NS: Final = 1_000_000_000
 
-IMPLAUSIBLE_FAULTS: Final = 3
-"""This many implausible frames of one identifier within IMPLAUSIBLE_WINDOW_NS are a failure of that frame."""
+IMPLAUSIBLE_FAULTS: Final = 3  # so many such frames of one identifier within the window are a failure of it
 
 IMPLAUSIBLE_WINDOW_NS: Final = 1_000_000_000
 
-ALIVE_FAULTS: Final = 5
-"""The alive counter has failed when its fault count, +1 per fault and -1 per good frame, reaches this."""
-
-ALIVE_MAX_LOST_STEP: Final = 3
-"""A counter step of 2 up to this means lost frames, beyond it a wrong sequence (AUTOSAR E2E profile 1)."""
-
-ALIVE_STUCK_REPEATS: Final = 3
-"""The counter is stuck after this many repeats in a row."""
-
-PERIOD_WINDOW_FRAMES: Final = 20
-"""A frame's period is judged over this many frames."""
-
-PERIOD_TOLERANCE: Final = 1.5
-"""The mean period is at fault above this many nominal periods, or below the inverse."""
-
-VARIANT_EVIDENCE_FRAMES: Final = 5
-"""This many standstill wheel speed frames in a row that agree confirm a firmware variant."""
-
-STANDSTILL_MPS: Final = 0.05
-"""Wheels slower than this stand still."""
-
-STATE_PERIOD_NS: Final = 50_000_000
-"""`state` goes out every 50 ms, 20 Hz."""
+ALIVE_FAULTS: Final = 5  # the alive counter has failed at this count: +1 per fault, -1 per good frame
+ALIVE_MAX_LOST_STEP: Final = 3  # a step of 2 up to this is lost frames, beyond it a wrong sequence (E2E profile 1)
+ALIVE_STUCK_REPEATS: Final = 3  # the counter is stuck after this many repeats in a row
+PERIOD_WINDOW_FRAMES: Final = 20  # a frame's period is judged over this many frames
+PERIOD_TOLERANCE: Final = 1.5  # the mean period is at fault above this many nominal periods, or below the inverse
+VARIANT_EVIDENCE_FRAMES: Final = 5  # standstill frames in a row that agree confirm a firmware variant
+STANDSTILL_MPS: Final = 0.05  # wheels slower than this stand still
+STATE_PERIOD_NS: Final = 50_000_000  # `state` goes out every 50 ms, 20 Hz
 
 ODOMETRY_PERIOD_NS: Final = 20_000_000
 
-BATCH_PERIOD_NS: Final = 50_000_000
-"""Raw frames go out in batches of 50 ms."""
-
-BATCH_MAX_FRAMES: Final = 4096
-"""Raw frames held for a batch at most; beyond that the oldest are dropped and counted."""
-
-HEALTH_PERIOD_NS: Final = 1_000_000_000
-"""`gateway/health` goes out once a second."""
-
-RECONNECT_MIN_S: Final = 0.1
-"""First pause before a lost bus is opened again; it doubles up to RECONNECT_MAX_S."""
+BATCH_PERIOD_NS: Final = 50_000_000  # raw frames go out in batches of 50 ms
+BATCH_MAX_FRAMES: Final = 4096  # raw frames held for a batch; beyond it the oldest are dropped and counted
+HEALTH_PERIOD_NS: Final = 1_000_000_000  # `gateway/health` goes out once a second
+RECONNECT_MIN_S: Final = 0.1  # first pause before a lost bus is opened again; it doubles up to RECONNECT_MAX_S
 
 RECONNECT_MAX_S: Final = 2.0
 
-ENGAGE_TIMEOUT_NS: Final = 1_000_000_000
-"""The chassis reads auto within this time of the first five enables, or engaging has failed."""
+ENGAGE_TIMEOUT_NS: Final = 1_000_000_000  # the chassis reads auto so soon after five enables, or it failed
 
 HOLD_NS: Final = 1_000_000_000
 """A stop holds the robot for 1 s behind the parking brake, after it was last seen to move."""
 
-DISABLE_NS: Final = 500_000_000
-"""After the hold a stop sends disabled frames for 0.5 s, then nothing."""
-
-REST_TIMEOUT_NS: Final = 10_000_000_000
-"""A gateway that shuts down waits this long for the robot to come to rest; the longest stop takes 7 s."""
-
-NOT_SLOWING_NS: Final = 300_000_000
-"""A robot that is not seen to slow down for this long, while it is being stopped, gets its parking brake."""
-
-SLOWING_MPS: Final = 0.02
-"""A robot slows down if it is slower by this than it was."""
-
-BRAKE_UNSEEN_NS: Final = 3_000_000_000
-"""A stop without feedback of the parking brake waits this long before it continues."""
-
-SHIFT_TICKS: Final = 10
-"""Each gear is commanded for 100 ms behind the parking brake before the next step."""
-
-BRAKE_MAX_NS: Final = 1_000_000_000
-"""A robot that still moves so long after a command of zero speed gets its parking brake, however it slows."""
-
-AUTO_HOLD_NS: Final = 1_000_000_000
-"""An engaged robot that stands at zero command for this long gets its parking brake."""
-
-WARN_AGAIN_NS: Final = 5_000_000_000
-"""Where people are warned, they are warned again before a robot sets off that has stood for this long."""
-
-BLINK_NS: Final = 350_000_000
-"""Indicators that warn are on for this long, and off for as long."""
-
-SLIPS_NS: Final = 2_000_000_000
-"""A robot that moves within this time of the auto-hold was held by its motor, and is not by its parking brake."""
-
-MOTOR_HOLDS_NS: Final = 300_000_000
-"""A robot that was given back to its motor is not faster after this time, or gets its parking brake for good."""
-
-BRAKE_RETURNS: Final = 2
-"""A stop whose disabled frames let the robot move so many times does not disable any more."""
-
-RETURN_NS: Final = 10_000_000_000
-"""A robot that is found moving within this time of the end of its stop was not held either."""
-
-BRAKED_NS: Final = 5_000_000_000
-"""A stop that does not disable ends by a reset once the robot has stood braked for this long."""
-
-STANDSTILL_TICKS: Final = 5
-"""The robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms."""
-
-RESET_MIN_NS: Final = 500_000_000
-"""A reset that comes sooner after a latch was not meant for it."""
-
-LOOP_LATE_STOP_NS: Final = 100_000_000
-"""A tick that begins later than this stops the robot."""
-
-IMPLAUSIBLE_MPS: Final = 0.3
-"""Speeds do not fit each other that differ by more than this, and by more than ``IMPLAUSIBLE_RATIO``."""
-
-IMPLAUSIBLE_RATIO: Final = 1.5
-"""Factor beyond which speeds do not fit each other, where they differ by ``IMPLAUSIBLE_MPS`` too."""
-
-IMPLAUSIBLE_NS: Final = 300_000_000
-"""Time for which speeds must differ so, 300 ms."""
-
-REFERENCE_DECELERATION_MPS2: Final = 0.8
-"""A commanded speed that falls is held against the measured one no faster than this: the chassis lags."""
-
-DRIVE_LAG_S: Final = 0.4
-"""The chassis follows a falling command with no more lag than this (chosen: the manual says nothing)."""
-
-ROLLING_MPS: Final = 0.1
-"""A robot that is faster than this, the standstill bound and a noisy bit of the coarse scale, is rolling."""
-
-ROLLING_NS: Final = 100_000_000
-"""Time for which it must be so fast while it is commanded to stand, or against its command."""
-
-CREEPING_NS: Final = 1_000_000_000
-"""A robot is rolling too that is over the standstill bound alone for this long, or whose pulses count."""
-
-OVERSPEED_MPS: Final = 0.3
-"""A measured speed is too fast that is over the limit in force by this."""
-
-OVERSPEED_NS: Final = 300_000_000
-"""Time for which a speed must be over the limit, 300 ms."""
-
-NOT_MOVING_COMMAND_MPS: Final = 0.3
-"""A robot that was commanded a higher speed than this, lag included, must be seen to move."""
-
-NOT_MOVING_MPS: Final = 0.15
-"""Slower than this by drive feedback and wheels, it is not seen to move."""
-
-NOT_MOVING_NS: Final = 1_000_000_000
-"""Time for which it must not be seen to move, 1 s."""
-
-GATHERING_MPS: Final = 0.06
-"""That time begins again when it is faster by more than this, a noisy bit: it gathers speed."""
-
-FROZEN_COMMAND_MPS: Final = 0.3
-"""The speeds are frozen that do not change by a bit while the command, lag included, changes by more than this."""
-
-FROZEN_NS: Final = 1_000_000_000
-"""Time for which they must not change, 1 s."""
-
-FROZEN_STANDING_COMMAND_MPS: Final = 0.1
-"""Commanded more than this, a robot whose speeds read zero does not stand if its pulses or its mileage count."""
-
-FROZEN_STANDING_KM: Final = 0.002
-"""The mileage has counted by this: 2 m."""
-
-FROZEN_STILL_NS: Final = 200_000_000
-"""Time for which one of these must hold, 200 ms: wheel speeds come every 50 ms."""
-
-FOLLOWING_MPS: Final = 0.5
-"""The commanded speed rises while it is no more than this above the greatest one seen."""
-
-FOLLOWING_S: Final = 0.6
-"""Or than the speed that the acceleration gives in this time, if that is more."""
-
-RUNAWAY_RISE_MPS: Final = 0.08
-"""A robot runs away that is ``OVERSPEED_MPS`` over its command, and became faster by more than two coarse bits."""
-
-RUNAWAY_WINDOW_NS: Final = 200_000_000
-"""Time in which it has become faster, 200 ms."""
-
-RUNAWAY_NS: Final = 100_000_000
-"""Time for which it must run away so, 100 ms."""
-
-STEERING_DEVIATION_DEG: Final = 5.0
-"""A measured steering angle that is off the commanded one by more than this does not follow."""
-
-STEERING_DEVIATION_NS: Final = 300_000_000
-"""Time for which an angle must be off, 300 ms."""
-
-STEERING_FOLLOWS_DEGPS: Final = 30.0
-"""Rate of turning the wheels at which a chassis still follows."""
-
-STEERING_LAG_S: Final = 0.2
-"""The wheels follow a commanded angle with no more lag than this (chosen: the manual says nothing)."""
-
-FROZEN_BODY_M: Final = 3.0
-"""The mileage counts whole metres: after this way without a change, the body frame is frozen."""
-
-BUMPER_CLEAR_NS: Final = 300_000_000
-"""A bumper is released once it has read clear for this long: contacts bounce."""
-
-PULSES_MOVING_FRAMES: Final = 16
-"""Wheel pulses that count the same way in so many frames in a row, 800 ms, show that the robot moves."""
-
-PULSES_STEADY: Final = 0.9
-"""Share of the first half of these pulses that the second half must reach."""
-
-PULSES_REST_S: Final = 0.55
-"""Wheel pulses show that a robot rolls once it should have stood for their second half, and three frames."""
-
-CREEP_PULSES: Final = 40
-"""So many wheel pulses the same way, a few in each frame and none missing for long, show that the robot creeps."""
-
-CREEP_FRAME_PULSES: Final = 2
-"""A robot that counts more wheel pulses in a period is not creeping: it drives, or comes to rest."""
-
-CREEP_PAUSE_FRAMES: Final = 10
-"""After so many periods, 500 ms, without a wheel pulse the robot stands."""
-
-CREEP_REST_NS: Final = 2_000_000_000
-"""A robot has had this long to come to rest before a few wheel pulses show that it creeps."""
-
-SEND_FAILURES: Final = 5
-"""This many ticks in a row whose frames the bus did not accept are a failure."""
-
-LEFT_BLIND_NS: Final = 200_000_000
-"""A chassis that was left under command, or is owed a stop, is stopped after this time without a body frame."""
-
-YIELD_BURSTS: Final = 10
-"""Bursts of zero speed and parking brake, at most, that a robot is left with when the remote control takes it."""
-
-BEHIND_NS: Final = 200_000_000
-"""Frames that were never all read for this long are coming faster than they can be."""
-
-FOUND_MOVING_NS: Final = 200_000_000
-"""A chassis that is in auto and moves for this long, while nobody commands it, is stopped."""
-
-REPEATED_NS: Final = 1_000_000_000
-"""A stop from standby that follows another one within this time applies the parking brake at once."""
-
-COMMANDER_NS: Final = 100_000_000
-"""Another computer commands the chassis if a command frame of it was received this lately."""
+DISABLE_NS: Final = 500_000_000  # after the hold a stop sends disabled frames for 0.5 s, then nothing
+REST_TIMEOUT_NS: Final = 10_000_000_000  # a gateway that shuts down waits so long for rest; a stop takes up to 7 s
+NOT_SLOWING_NS: Final = 300_000_000  # a robot being stopped that does not slow down for so long is parked
+SLOWING_MPS: Final = 0.02  # a robot slows down if it is slower by this than it was
+BRAKE_UNSEEN_NS: Final = 3_000_000_000  # a stop without parking feedback waits so long before it continues
+SHIFT_TICKS: Final = 10  # each gear is commanded for 100 ms behind the parking brake before the next step
+BRAKE_MAX_NS: Final = 1_000_000_000  # a robot that moves so long after a command of zero speed is parked
+AUTO_HOLD_NS: Final = 1_000_000_000  # an engaged robot that stands so long at zero command is parked
+WARN_AGAIN_NS: Final = 5_000_000_000  # people are warned again before a robot sets off that stood so long
+BLINK_NS: Final = 350_000_000  # indicators that warn are on for this long, and off for as long
+SLIPS_NS: Final = 2_000_000_000  # motion so soon after the auto-hold: the motor held it, not the parking brake
+MOTOR_HOLDS_NS: Final = 300_000_000  # given back to its motor, it is no faster after this time, or parked for good
+BRAKE_RETURNS: Final = 2  # a stop whose disabled frames let the robot move so many times does not disable any more
+RETURN_NS: Final = 10_000_000_000  # a robot found moving so soon after the end of its stop was not held either
+BRAKED_NS: Final = 5_000_000_000  # a stop that does not disable ends by a reset, after standing braked for so long
+STANDSTILL_TICKS: Final = 5  # the robot stands when its speed was under STANDSTILL_MPS for this many ticks, 50 ms
+RESET_MIN_NS: Final = 500_000_000  # a reset that comes sooner after a latch was not meant for it
+LOOP_LATE_STOP_NS: Final = 100_000_000  # a tick that begins later than this stops the robot
+IMPLAUSIBLE_MPS: Final = 0.3  # speeds that differ by more than this and ``IMPLAUSIBLE_RATIO`` do not fit
+IMPLAUSIBLE_RATIO: Final = 1.5  # factor beyond which speeds do not fit, with ``IMPLAUSIBLE_MPS``
+IMPLAUSIBLE_NS: Final = 300_000_000  # time for which speeds must differ so, 300 ms
+REFERENCE_DECELERATION_MPS2: Final = 0.8  # the reference of a falling command falls so fast: chassis lag
+DRIVE_LAG_S: Final = 0.4  # lag of the chassis behind a falling command at most (chosen: no figure in the manual)
+ROLLING_MPS: Final = 0.1  # a robot rolls that is faster than the standstill bound and a noisy coarse bit
+ROLLING_NS: Final = 100_000_000  # time for which it is so fast while commanded to stand, or against its command
+CREEPING_NS: Final = 1_000_000_000  # rolling too: over the standstill bound for so long, or its pulses count
+OVERSPEED_MPS: Final = 0.3  # a measured speed is too fast that is over the limit in force by this
+OVERSPEED_NS: Final = 300_000_000  # time for which a speed must be over the limit, 300 ms
+NOT_MOVING_COMMAND_MPS: Final = 0.3  # commanded more than this, lag included, it must be seen to move
+NOT_MOVING_MPS: Final = 0.15  # slower than this by drive feedback and wheels, it is not seen to move
+NOT_MOVING_NS: Final = 1_000_000_000  # time for which it must not be seen to move, 1 s
+GATHERING_MPS: Final = 0.06  # that time begins again when it is faster by more than this: it gathers speed
+FROZEN_COMMAND_MPS: Final = 0.3  # speeds are frozen that keep each bit while the command changes by more
+FROZEN_NS: Final = 1_000_000_000  # time for which they must not change, 1 s
+FROZEN_STANDING_COMMAND_MPS: Final = 0.1  # commanded more, it does not stand if pulses or mileage count
+FROZEN_STANDING_KM: Final = 0.002  # the mileage has counted by this: 2 m
+FROZEN_STILL_NS: Final = 200_000_000  # time for which one of these holds: wheel speeds come every 50 ms
+FOLLOWING_MPS: Final = 0.5  # the commanded speed rises while it is no more than this above the greatest one seen
+FOLLOWING_S: Final = 0.6  # or than the speed that the acceleration gives in this time, if that is more
+RUNAWAY_RISE_MPS: Final = 0.08  # ``OVERSPEED_MPS`` over its command, and faster by two coarse bits, it runs away
+RUNAWAY_WINDOW_NS: Final = 200_000_000  # time in which it has become faster, 200 ms
+RUNAWAY_NS: Final = 100_000_000  # time for which it must run away so, 100 ms
+STEERING_DEVIATION_DEG: Final = 5.0  # an angle that is off the commanded one by more does not follow
+STEERING_DEVIATION_NS: Final = 300_000_000  # time for which an angle must be off, 300 ms
+STEERING_FOLLOWS_DEGPS: Final = 30.0  # rate of turning the wheels at which a chassis still follows
+STEERING_LAG_S: Final = 0.2  # lag of the wheels behind the angle at most (chosen: no figure in the manual)
+FROZEN_BODY_M: Final = 3.0  # mileage counts whole metres: unchanged after this way, the body frame is frozen
+BUMPER_CLEAR_NS: Final = 300_000_000  # a bumper is released once it has read clear for this long: contacts bounce
+PULSES_MOVING_FRAMES: Final = 16  # wheel pulses the same way in so many frames, 800 ms, show motion
+PULSES_STEADY: Final = 0.9  # share of the first half of these pulses that the second half must reach
+PULSES_REST_S: Final = 0.55  # pulses show rolling so long after it should have stood: half of them, three frames
+CREEP_PULSES: Final = 40  # wheel pulses the same way, a few in each frame without long gaps, that show creeping
+CREEP_FRAME_PULSES: Final = 2  # more pulses in a period are no creeping: it drives, or comes to rest
+CREEP_PAUSE_FRAMES: Final = 10  # after so many periods, 500 ms, without a wheel pulse the robot stands
+CREEP_REST_NS: Final = 2_000_000_000  # time to come to rest before a few wheel pulses show creeping
+SEND_FAILURES: Final = 5  # this many ticks in a row whose frames the bus did not accept are a failure
+LEFT_BLIND_NS: Final = 200_000_000  # left under command or owed a stop, it is stopped so long without body frames
+YIELD_BURSTS: Final = 10  # bursts of zero speed and parking brake when the remote control takes a robot
+BEHIND_NS: Final = 200_000_000  # frames that were never all read for this long are coming faster than they can be
+FOUND_MOVING_NS: Final = 200_000_000  # in auto and moving so long while nobody commands it, it is stopped
+REPEATED_NS: Final = 1_000_000_000  # a stop from standby so soon after another applies the parking brake at once
+COMMANDER_NS: Final = 100_000_000  # another computer commands the chassis whose command frame came so lately
 
 COMMANDER_QUIET_NS: Final = 1_000_000_000
 """After a pause of this length another computer's commands are news again. Below WARM_UP_NS of a run that is run
 again: a part of it has to give the same events."""
 
-ODOMETER_TIMEOUT_NS: Final = 2_000_000_000
-"""The mileage reads zero within this time of the first clearing frame, or it failed."""
+ODOMETER_TIMEOUT_NS: Final = 2_000_000_000  # the mileage reads zero so soon after clearing, or it failed
 
 TAIL_NS: Final = 100_000_000
 """Once lamps, horn or odometer are no longer requested, frames that clear them are sent for this long."""
 
-DRIVES_PER_TICK: Final = 16
-"""Drive commands judged in a tick at most; the rest wait in their ring, where the oldest go first."""
-
-VERBS_PER_TICK: Final = 8
-"""Verbs judged in a tick at most; the rest wait."""
-
-STOPS_PER_TICK: Final = 16
-"""Remote stops judged in a tick at most. One is enough to stop; the others are answered too."""
-
-MILEAGE_DIFFERS_KM: Final = 1.0
-"""A total mileage that is further than this off the one of the last run may be that of another chassis."""
-
-REQUEST_MAX_BYTES: Final = 1024
-"""No request is larger."""
+DRIVES_PER_TICK: Final = 16  # drive commands judged in a tick; the rest waits in a ring, where the oldest go
+VERBS_PER_TICK: Final = 8  # verbs judged in a tick at most; the rest wait
+STOPS_PER_TICK: Final = 16  # remote stops judged in a tick; one is enough to stop, the others are answered too
+MILEAGE_DIFFERS_KM: Final = 1.0  # further than this off the last run's, it may be another chassis's mileage
+REQUEST_MAX_BYTES: Final = 1024  # no request is larger
 
 SEQUENCE_STEP_MAX: Final = 1000
 """A drive command's ``seq`` is at most so far above the last accepted one: more than the longest lease of 10 s
 holds at 50 Hz, so that no loss on the way reaches it, and nobody can use up the numbers."""
 
-SAFETY_STATE_PERIOD_NS: Final = 50_000_000
-"""`safety/state` is published every 50 ms, and on change."""
-
-SAFETY_STATE_ENGAGED_PERIOD_NS: Final = 20_000_000
-"""`safety/state` is published every 20 ms while the robot is engaged: each half of this period is age."""
-
-DEADMAN_MAX_S: Final = 1.0
-"""No engagement has a longer deadman."""
-
-GUARD_POLL_NS: Final = 5_000_000
-"""The guard looks at the loop's heartbeat every 5 ms."""
-
-TOLD_LONG_AGO_NS: Final = 100_000_000
-"""A stop held up for longer than this continues from the measured speed, if that is lower than its ramp's."""
-
-MUTE_FAILURES: Final = 20
-"""After so many ticks in a row without a stop accepted by the bus the guard tries, by its own way to it."""
+SAFETY_STATE_PERIOD_NS: Final = 50_000_000  # `safety/state` is published every 50 ms, and on change
+SAFETY_STATE_ENGAGED_PERIOD_NS: Final = 20_000_000  # the same while engaged: half of it is age
+DEADMAN_MAX_S: Final = 1.0  # no engagement has a longer deadman
+GUARD_POLL_NS: Final = 5_000_000  # the guard looks at the loop's heartbeat every 5 ms
+TOLD_LONG_AGO_NS: Final = 100_000_000  # held up longer, a stop continues from the measured speed, if lower
+MUTE_FAILURES: Final = 20  # after so many ticks without a stop that the bus took, the guard tries its own way
 
 GUARD_LATE_NS: Final = 80_000_000
 """A heartbeat older than this, and still so 5 ms later, is late: the guard stops the robot.
@@ -548,32 +352,15 @@ GUARD_LATE_NS: Final = 80_000_000
 The first stop frame has to be on the bus within 100 ms of the last good one.
 """
 
-GUARD_LOOK_NS: Final = 100_000_000
-"""A stop that begins or continues late waits this long for feedback: the last command is old."""
-
-GUARD_RESTART_NS: Final = 5_000_000_000
-"""A guard that is gone is started again while the robot is not commanded, at most this often."""
-
-GUARD_HANGS_TICKS: Final = 100
-"""A guard that gives no sign of life in so many ticks is killed and started again."""
-
-REMOTE_FRAMES: Final = 2
-"""So many in a row that read remote are believed: one alone may be two flipped bits, and the robot rolls on."""
-
-OFF_BURSTS: Final = 10
-"""A stop sets lamps, horn and odometer in its first 10 bursts, 100 ms: one may get lost."""
-
-GUARD_SILENT_NS: Final = 200_000_000
-"""A guard that gave no sign, or received no feedback, for this long does not watch."""
-
-GUARD_GIVES_UP_NS: Final = 30_000_000_000
-"""A guard whose gateway is gone, and that gets no bus to stop the robot on, tries for this long."""
-
-HALT_LISTEN_NS: Final = 300_000_000
-"""`cruiser halt` judges the chassis once it has heard no other sender for this long."""
-
-HALT_YIELD_NS: Final = 15_000_000_000
-"""`cruiser halt` waits this long for another sender, which may be the guard at work, to have done."""
+GUARD_LOOK_NS: Final = 100_000_000  # a stop that begins or continues late waits so long for feedback
+GUARD_RESTART_NS: Final = 5_000_000_000  # a lost guard is started again at most this often, while idle
+GUARD_HANGS_TICKS: Final = 100  # a guard that gives no sign of life in so many ticks is killed and started again
+REMOTE_FRAMES: Final = 2  # so many in a row that read remote are believed: one may be two flipped bits
+OFF_BURSTS: Final = 10  # a stop sets lamps, horn and odometer in its first 10 bursts, 100 ms: one may get lost
+GUARD_SILENT_NS: Final = 200_000_000  # without a sign, or feedback, for so long a guard does not watch
+GUARD_GIVES_UP_NS: Final = 30_000_000_000  # a guard without gateway and bus tries for so long
+HALT_LISTEN_NS: Final = 300_000_000  # `cruiser halt` judges the chassis after so long without another sender
+HALT_YIELD_NS: Final = 15_000_000_000  # `cruiser halt` waits so long for another sender, maybe the guard
 
 
 class RobotSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

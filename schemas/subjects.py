@@ -93,14 +93,12 @@ SAFETY_HISTORY: Final = 1000
 They come all at once, and so are no more than a link's queue takes; the rest comes in pieces, see ``KEPT_FIRST``.
 """
 
-SAFETY_KEPT_BYTES: Final = 2_000_000
-"""Some 5,000 decisions."""
+SAFETY_KEPT_BYTES: Final = 2_000_000  # some 5,000 decisions
 
 JOURNAL_KEPT_BYTES: Final = 16_000_000
 """The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
 
-AUTHORITY_KEPT_BYTES: Final = 1_000_000
-"""Statements of an hour, those in use among them."""
+AUTHORITY_KEPT_BYTES: Final = 1_000_000  # statements of an hour, those in use among them
 
 KEPT_FIRST: Final = "first"
 """A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest."""
@@ -268,7 +266,6 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
 
     @property
     def schema_name(self) -> str:
-        """The request's schema: ``cruiser.request.Drive``."""
         return f"{SCHEMA_PREFIX}.request.{self.request.__name__}"
 
     @property
@@ -284,14 +281,10 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
         return f"application/msgpack;{self.reply_schema_name}/{self.reply.version}"
 
 
-Command = Verb[decisions.Reply]
-"""A verb of a robot."""
+Command = Verb[decisions.Reply]  # a verb of a robot
 
-RecorderCommand = Verb[recording.RecorderReply]
-"""A verb of a recorder, always a query."""
-
-COMMAND_CHUNK: Final = "@cmd"
-"""A verbatim chunk of Zenoh: no wildcard reaches a command by accident."""
+RecorderCommand = Verb[recording.RecorderReply]  # a verb of a recorder, always a query
+COMMAND_CHUNK: Final = "@cmd"  # a verbatim chunk of Zenoh: no wildcard reaches a command by accident
 
 AUTHORITY_CHUNK: Final = "@auth"
 """A verbatim chunk of Zenoh: the query ``{root}/{robot}/@auth`` shows a robot a statement of its authority."""
@@ -300,16 +293,12 @@ STATEMENT_REPLY: Final = f"{SCHEMA_PREFIX}.{decisions.StatementReply.__name__}"
 
 STATEMENT_REPLY_ENCODING: Final = f"application/msgpack;{STATEMENT_REPLY}/{decisions.StatementReply.version}"
 
-TEXT_MAX_BYTES: Final = 16_384
-"""No statement of an authority with its chain is longer."""
-
-SIGNED: Final = ("safety/state", "state")
-"""Subjects that people decide by: in signed mode each sample is signed."""
+TEXT_MAX_BYTES: Final = 16_384  # no statement of an authority with its chain is longer
+SIGNED: Final = ("safety/state", "state")  # subjects that people decide by: in signed mode each sample is signed
 
 STOP_VERB: Final = "stop"
 RESET_ODOMETRY_VERB: Final = "reset_odometry"
-DRIVE_VERB: Final = "drive"
-"""The verb that is taken from anyone, as a put too."""
+DRIVE_VERB: Final = "drive"  # the verb that is taken from anyone, as a put too
 
 COMMAND_QOS: Final = Qos(Priority.INTERACTIVE_HIGH, express=True)
 

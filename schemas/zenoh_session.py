@@ -33,23 +33,20 @@ declaration that comes before the connection is noted down is not counted. Who i
 ``finds_router`` waits for that.
 """
 
-OPEN_TIMEOUT_MS: Final = 2000
-"""The period in which a new connection must speak Zenoh, or it is closed."""
+OPEN_TIMEOUT_MS: Final = 2000  # the period in which a new connection must speak Zenoh, or it is closed
 
 ACCEPT_PENDING: Final = 500
 """Connections that have not said yet who they are: as many as a stranger must hold open to keep others out."""
 
 ROUTER_LOOKS: Final = 50
-LOOK_EVERY_S: Final = 0.01
-"""A router that is there is connected by the last look."""
+LOOK_EVERY_S: Final = 0.01  # a router that is there is connected by the last look
 
 QUEUE_BATCHES: Final = 8
 """Batches of 64 KiB that may wait on a link for each priority. A put never waits for room, it drops."""
 
 ANY_LOCAL_PORT: Final = "tcp/127.0.0.1:0"
 
-WITH_NAMES: Final = ("tls", "quic")
-"""Protocols whose certificates carry the listener's name."""
+WITH_NAMES: Final = ("tls", "quic")  # protocols whose certificates carry the listener's name
 
 _ENDPOINT: Final = re.compile(
     r"(?P<protocol>[a-z0-9_-]+)/(?P<host>[^?#]*):(?P<port>[0-9]+)(?P<metadata>[?][^#]*)?(?P<options>#.*)?"
@@ -152,7 +149,6 @@ def finds_router(connected: Connected, pause: Callable[[float], None]) -> bool:
 
 
 def split_endpoint(endpoint: str) -> tuple[str, str, int]:
-    """Protocol, host and port of an endpoint."""
     parts = _parts(endpoint)
     return parts["protocol"], parts["host"], int(parts["port"])
 
@@ -185,7 +181,6 @@ def own_endpoint(listen: str) -> str:
 
 
 def is_loopback(endpoint: str) -> bool:
-    """Return True if the endpoint never leaves this machine."""
     host = endpoint.partition("/")[2].rpartition(":")[0]
     return endpoint.startswith("unix") or bool(_LOOPBACK.fullmatch(host))
 
@@ -312,7 +307,6 @@ def client_endpoints(settings: ZenohSettings) -> list[str]:
 
 
 def place(settings: ZenohSettings) -> str:
-    """Where a command connects, in words."""
     return ", ".join(map(plain, client_endpoints(settings)))
 
 
@@ -380,7 +374,6 @@ def _said_at(config: zenoh.Config, path: str) -> Json:
 
 
 def _places(text: str) -> list[str]:
-    """The endpoints to none of which a session could connect."""
     return _NOT_CONNECTED.findall(text) if "Unable to connect" in text else []
 
 

@@ -36,11 +36,8 @@ from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 CHALLENGE_MAX_NS: Final = 2_000_000_000
 """A verb that echoes an older challenge is too old. Zenoh delivers it again, or late, for less."""
 
-NONCE_KEPT_NS: Final = 4_000_000_000
-"""Longer than a challenge is taken: what is forgotten is too old by then."""
-
-GRANTS_KEPT: Final = 256
-"""Grants that are known at a time; beyond it the one that was not used for longest goes."""
+NONCE_KEPT_NS: Final = 4_000_000_000  # longer than a challenge is taken: what is forgotten is too old by then
+GRANTS_KEPT: Final = 256  # grants that are known at a time; beyond it the one that was not used for longest goes
 
 TAGS_PER_TICK: Final = 256
 """Tags that are checked in a tick at most, 1 ms, to put the holder's drive commands before others'."""
@@ -134,7 +131,6 @@ class SignedAdmission:
         return held
 
     def known(self, grant_id: bytes) -> HeldGrant | None:
-        """The grant of this identifier, if its chain was verified."""
         return self._grants.get(grant_id)
 
     def objection_to_holder(self) -> Objection | None:
@@ -249,7 +245,6 @@ class SignedAdmission:
         return Objection(Reason.REPLAYED) if (proof.grant, proof.nonce) in self._nonces else None
 
     def _granted(self, raw: RawRequest, proof: RequestProof) -> HeldGrant | Objection:
-        """The grant that a request names, if it allows what is asked."""
         held = self._grants.get(proof.grant)
         if held is None:
             return Objection(Reason.GRANT_UNKNOWN)
@@ -318,11 +313,8 @@ _LEASE_REPLY: Final = msgspec.msgpack.Decoder(LeaseReply)
 WORDS_PER_TICK: Final = 4
 """New lists of revocations, and rotations, that are verified in a tick: one signature each, 0.5 ms in all."""
 
-OTHERS_PER_TICK: Final = 1
-"""All other statements that are verified in a tick: up to three signatures each."""
-
-KEPT_WAITING: Final = 16
-"""Statements of a kind that wait for the next tick; of more than that, chance drops some."""
+OTHERS_PER_TICK: Final = 1  # all other statements that are verified in a tick: up to three signatures each
+KEPT_WAITING: Final = 16  # statements of a kind that wait for the next tick; of more than that, chance drops some
 
 
 class StatementKind(Enum):
@@ -374,7 +366,6 @@ class StatementSieve(Generic[_Item]):
         return chosen
 
     def kind_of(self, text: bytes) -> StatementKind:
-        """The kind that a statement claims to be of."""
         if not text:
             return StatementKind.QUESTION
         body, _, proofs = text.partition(b"\n")
@@ -388,7 +379,6 @@ class StatementSieve(Generic[_Item]):
         return StatementKind.REST
 
     def _draw(self, kind: StatementKind, most: int) -> list[_Item]:
-        """Take so many of those that wait."""
         waiting = self._waiting[kind]
         places = self._sample(list(range(len(waiting))), min(most, len(waiting)))
         chosen = [waiting[place] for place in places]
@@ -405,7 +395,6 @@ class StatementSieve(Generic[_Item]):
 
 
 def _by(key: bytes) -> bytes:
-    """The beginning of the line of a signature of this key."""
     return f"{ALGORITHM} {key.hex()} ".encode()
 
 

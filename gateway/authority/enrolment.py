@@ -85,8 +85,7 @@ COMMAND_MAX_BYTES: Final = 2 * REQUEST_MAX_BYTES
 
 STATEMENT_MAX_BYTES: Final = TEXT_MAX_BYTES + REQUEST_MAX_BYTES
 
-HISTORY: Final = "@adv/**"
-"""The key suffix where advanced publishers answer queries for earlier samples."""
+HISTORY: Final = "@adv/**"  # the key suffix where advanced publishers answer queries for earlier samples
 
 Flow = Literal["ingress", "egress"]
 _TURNED: Final[dict[str, Flow]] = {"ingress": "egress", "egress": "ingress"}
@@ -260,7 +259,6 @@ def _verbs(robot: str, other: Asking) -> tuple[str, ...]:
 
 
 def _histories(robot: str) -> tuple[str, ...]:
-    """Return the key expressions where late joiners ask for earlier samples."""
     places = {subject.name.partition("/")[0] for subject in SUBJECTS if subject.qos.history}
     return tuple(f"{robot}/{place}/*/{HISTORY}" for place in sorted(places))
 
@@ -349,8 +347,7 @@ def _nested(entries: dict[str, Json]) -> dict[str, Json]:
 
 _T = TypeVar("_T")
 
-ENROLMENT_MAX_BYTES: Final = 65_536
-"""No request and no bundle is longer."""
+ENROLMENT_MAX_BYTES: Final = 65_536  # no request and no bundle is longer
 
 
 class EnrolmentRole(Enum):
@@ -415,7 +412,6 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     csr_proof: Annotated[str, Meta(pattern=r"^([0-9a-f]{2}){8,72}\Z")] | None = None
 
     def signed(self) -> bytes:
-        """The text under both proofs, of which the fingerprint is."""
         key = bytes.fromhex(self.key or "")
         texts = (part.encode() for part in (self.csr, *self.names))
         return signed_bytes(ProofKind.STATEMENT, b"request-2", self.role.value.encode(), key, *texts)
@@ -451,7 +447,6 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def fingerprint(self) -> str:
-        """The fingerprint of the authority that the bundle brings."""
         return authority_fingerprint(self.authority, self.fleet, self.ca)
 
 

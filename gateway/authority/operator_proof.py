@@ -51,8 +51,7 @@ from schemas.subjects import BY_VERB, DRIVE_VERB, SIGNED, STATEMENT_REPLY_ENCODI
 
 NONCE_BYTES: Final = 8
 
-QUESTION_BYTES: Final = 16
-"""Drawn for each question who a robot is: a reply that was kept answers another."""
+QUESTION_BYTES: Final = 16  # drawn for each question who a robot is: a reply that was kept answers another
 
 DRIVE: Final = BY_VERB[DRIVE_VERB]
 
@@ -157,7 +156,6 @@ class KnownRobots:
         return known is not None and known.is_other_run_seen
 
     def is_reply(self, robot: str, received: Received, request: bytes) -> bool:
-        """Return True if it is this robot's reply to the request that had this attachment."""
         proof, known = RobotProof.read(received.attachment), self._robots.get(robot)
         if proof is None or known is None:
             return False
@@ -194,7 +192,6 @@ class KnownRobots:
         return is_of_run
 
     def is_state(self, robot: str, received: Received) -> bool:
-        """Did this robot sign what it is said to have published?"""
         proof, known = RobotProof.read(received.attachment), self._robots.get(robot)
         if proof is None or known is None:
             return False
@@ -230,7 +227,6 @@ class OperatorProof(KnownRobots):
         self._leased = ""
 
     def request(self, robot: str, verb: str, payload: bytes, challenge: bytes) -> bytes:
-        """The attachment of a verb."""
         proof = RequestProof(self._grant, challenge, self._nonce(NONCE_BYTES))
         key = keys.command(self._root, robot, self.name, verb)
         encoding = BY_VERB[verb].encoding
@@ -240,7 +236,6 @@ class OperatorProof(KnownRobots):
         return attachment + self._tags.verb_tag(proof.signed(key, encoding, payload))
 
     def begin_lease(self, robot: str, private: X25519PrivateKey, reply: LeaseReply, attachment: bytes) -> bool:
-        """Agree with the robot on the key of a lease; False if its reply has no key."""
         proof = RobotProof.read(attachment)
         if proof is None or reply.public_key is None:
             return False
@@ -251,7 +246,6 @@ class OperatorProof(KnownRobots):
         return self._tags is not None
 
     def drive(self, payload: bytes) -> bytes:
-        """The attachment of a drive command under the lease; empty without one."""
         return b"" if self._tags is None else self._tags.attachment(payload)
 
 
@@ -270,7 +264,6 @@ class ViewerProof(KnownRobots):
         return None if self.has_met(robot) else refusal
 
     def request(self, robot: str, verb: str, _payload: bytes, _challenge: bytes) -> bytes:
-        """The attachment of a stop, which proves nothing."""
         if verb != STOP_VERB:
             raise CommandError(
                 f"{verb} of {robot} needs an operator's key and grant, and here is none: see docs/authority.md",
@@ -279,7 +272,6 @@ class ViewerProof(KnownRobots):
         return new_question()
 
     def begin_lease(self, *_: object) -> bool:
-        """Return False: nobody gives a viewer a lease."""
         return False
 
     def drive(self, _payload: bytes) -> bytes:

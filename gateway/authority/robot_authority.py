@@ -58,7 +58,6 @@ class TimeFloor:
         self.restart(floor_s, boot_ns)
 
     def least_s(self, boot_ns: int) -> int:
-        """The earliest that it can be, seconds since 1970."""
         return self._floor_s + max(0, boot_ns - self._since_ns) // _S
 
     def now_s(self, boot_ns: int, wall_s: int) -> int:
@@ -122,11 +121,8 @@ class NameProof:
 REPEAT_NS: Final = 60_000_000_000
 """Period at which the grants in use are published again, so that every log holds them."""
 
-BARS_NS: Final = 1_000_000_000
-"""Period at which it is judged again whether somebody may engage."""
-
-SAVE_NS: Final = 60_000_000_000
-"""Period at which the floor of time is saved."""
+BARS_NS: Final = 1_000_000_000  # period at which it is judged again whether somebody may engage
+SAVE_NS: Final = 60_000_000_000  # period at which the floor of time is saved
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -263,7 +259,6 @@ class RobotAuthority:
         )
 
     def know_time(self, boot_ns: int, wall_ns: int) -> None:
-        """Judge by this time from here on."""
         self.admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
 
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
@@ -282,7 +277,6 @@ class RobotAuthority:
         return effects
 
     def to_keep(self, boot_ns: int) -> Kept:
-        """The state to be kept across a restart as of now."""
         self._kept = msgspec.structs.replace(self._kept, floor_s=self._floor.least_s(boot_ns))
         return self._kept
 

@@ -27,7 +27,6 @@ _LENGTH_BYTES: Final = 4
 
 
 def public_bytes(private: X25519PrivateKey) -> bytes:
-    """The public key that goes to the other side, 32 bytes."""
     return private.public_key().public_bytes_raw()
 
 
@@ -53,7 +52,6 @@ class DriveTags:
         self._empty = hmac.new(key, digestmod="sha256")
 
     def tag(self, payload: bytes) -> bytes:
-        """The tag of a command, 16 bytes."""
         state = self._state.copy()
         state.update(len(payload).to_bytes(_LENGTH_BYTES, "big") + payload)
         return state.digest()[:TAG_BYTES]
@@ -72,7 +70,6 @@ class DriveTags:
         return DriveProof(self.lease, self.tag(payload)).attachment()
 
     def fits(self, attachment: bytes, payload: bytes) -> bool:
-        """Return True if the attachment was made for this command, under this lease's key."""
         proof = DriveProof.read(attachment)
         return (
             proof is not None and proof.lease == self.lease and hmac.compare_digest(proof.tag, self.tag(payload))
@@ -94,7 +91,6 @@ class RobotSigner:
         self._unsigned = RobotProof(boot)
 
     def reply(self, key: str, encoding: str, payload: bytes, request: bytes) -> bytes:
-        """The attachment of a reply to the request that had this attachment."""
         return self._proof(self._unsigned.signed_reply(key, encoding, payload, request))
 
     def publication(self, key: str, encoding: str, payload: bytes) -> bytes:
@@ -165,7 +161,6 @@ def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust) ->
 
 
 def not_taken(objection: Objection, cure: str) -> Unmet:
-    """Return why a robot that is believed refuses the grant that it was shown."""
     return Unmet(
         objection.reason,
         f"it refuses the grant: {objection.text}",

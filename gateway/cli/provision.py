@@ -65,11 +65,8 @@ from schemas.zenoh_session import place
 
 HOUR_S, DAY_S = 3600, 86_400
 
-PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S
-"""The duration of a grant without ``--lasts``, seconds."""
-
-ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]
-"""Verbs that want a grant: a stop wants none."""
+PERSON_S, OTHERS_S = 12 * HOUR_S, 90 * DAY_S  # the duration of a grant without ``--lasts``, seconds
+ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]  # verbs that want a grant: a stop wants none
 
 PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 
@@ -204,7 +201,6 @@ class _Answer(msgspec.Struct, frozen=True):
 
 
 def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore, stopped: Stopped) -> ExitCode:
-    """Show robots a statement, once or again and again."""
     file = Path(arguments.statement)
     try:
         chain = chain_of(read_input(file))
@@ -501,7 +497,6 @@ class _Output:
 
 
 def _request(arguments: argparse.Namespace, store: KeyStore) -> None:
-    """Ask to be let in: with new keys, or with those that are here."""
     is_new = arguments.action != "renew"
     role = EnrolmentRole(arguments.action if is_new else arguments.role)
     names = list(arguments.names) if is_new else names_here(store, role)

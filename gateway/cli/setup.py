@@ -53,8 +53,7 @@ LOGS: Final = "/var/lib/cruiser/logs"
 NETWORK: Final = "/etc/systemd/network"
 UNITS: Final = "/etc/systemd/system"
 
-BUDGET_BYTES: Final = 20_000_000_000
-"""Logs may take so much, or BUDGET_SHARE of the disk where that is less."""
+BUDGET_BYTES: Final = 20_000_000_000  # logs may take so much, or BUDGET_SHARE of the disk where that is less
 
 BUDGET_SHARE: Final = 0.7
 
@@ -184,7 +183,6 @@ def system_files(answers: Answers) -> dict[str, str]:
 
 
 def _bus(answers: Answers) -> str:
-    """Return the drop-in that binds the gateway's unit to the interface's device."""
     if not answers.is_kernels:
         return "# The bus is no interface of the kernel's.\n[Install]\nWantedBy=multi-user.target\n"
     device = f"sys-subsystem-net-devices-{escaped(answers.channel)}.device"
@@ -221,8 +219,7 @@ EXAMPLE: Final = """\
   sudo cruiser setup                                        asks; each default is what was found
   sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F"""
 
-READY_S: Final = 60.0
-"""So long the services have to be well, after which what is wrong is said."""
+READY_S: Final = 60.0  # so long the services have to be well, after which what is wrong is said
 
 PROGRAM_TIMEOUT_S: Final = 120.0
 
@@ -411,7 +408,6 @@ def _bitrate(text: str) -> str:
 
 
 def _interface(machine: Machine, interface: str, channel: str) -> CanInterface | None:
-    """The interface; None where it is none of the kernel's."""
     settings = Settings(can=CanSettings(interface=interface, channel=channel))
     return look_at_interface(settings, run_program, machine.path("/sys/class/net"))
 

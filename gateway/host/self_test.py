@@ -41,11 +41,8 @@ from schemas.zenoh_session import (
 ACCESS: Final = "access_control"
 TLS: Final = "transport/link/tls"
 
-SETTLE_S: Final = 1.0
-"""The time in which a message that is not denied arrives, by way of a router."""
-
-WAITING: Final = 64
-"""Samples of a subscription that may wait; one is enough."""
+SETTLE_S: Final = 1.0  # the time in which a message that is not denied arrives, by way of a router
+WAITING: Final = 64  # samples of a subscription that may wait; one is enough
 
 ANSWER_TIMEOUT_S: Final = 0.5
 

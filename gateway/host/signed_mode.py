@@ -37,8 +37,7 @@ CURE: Final = (
     "('cruiser provision show'), and each rotation since the robot was provisioned"
 )
 
-WRITE_TIMEOUT_S: Final = 2.0
-"""The longest wait of a gateway that ends for a disk that stalls."""
+WRITE_TIMEOUT_S: Final = 2.0  # the longest wait of a gateway that ends for a disk that stalls
 
 
 class AuthorityNote:
@@ -75,7 +74,6 @@ class AuthorityNote:
             return f"{self.path} is damaged, and so is what was revoked: {error}; {CURE}"
 
     def save(self, kept: Kept) -> None:
-        """Have this written, without waiting."""
         self._kept.put(kept)
 
     def close(self) -> None:
@@ -108,8 +106,7 @@ def note_path(settings: Settings, environment: Mapping[str, str]) -> Path | None
 
 BOOT_BYTES: Final = 8
 
-AHEAD_S: Final = 3600
-"""A note of a later time than this after the clock's is said."""
+AHEAD_S: Final = 3600  # a note of a later time than this after the clock's is said
 
 _DAY_S: Final = 86_400
 
@@ -161,7 +158,6 @@ class SignedMode:
         self.authority.unsaved = fault
 
     def sieve(self) -> StatementSieve[Any]:
-        """Return what chooses the statements that are verified in a tick."""
         return StatementSieve(self.authority.admission)
 
     def note(self, now_s: float) -> str:
@@ -171,7 +167,6 @@ class SignedMode:
         return ends if left_s < RENEW_S else ""
 
     def save(self, kept: Kept) -> None:
-        """Keep this across a restart, without waiting for the disk."""
         self._note.save(kept)
 
     def close(self) -> None:

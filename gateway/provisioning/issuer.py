@@ -96,7 +96,6 @@ def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
 
 
 def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> EnrolmentRequest:
-    """A request with the keys that are there."""
     cure = remade(role.value)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
@@ -266,8 +265,7 @@ AUTHORITY_KEY, CA_KEY = "authority.key", "ca.key"
 STANDBY_KEY: Final = "standby.key"
 SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
 
-BACKDATED_S: Final = 300
-"""A grant is valid from a little earlier: no two clocks agree."""
+BACKDATED_S: Final = 300  # a grant is valid from a little earlier: no two clocks agree
 
 _ROLES: Final = {
     EnrolmentRole.ROBOT: GrantRole.ROBOT,
@@ -303,7 +301,6 @@ class Issued(msgspec.Struct, frozen=True):
     tls: str = ""
 
     def __post_init__(self) -> None:
-        """See that the key is one, when the file is read."""
         bytes.fromhex(self.key)
 
     @property
@@ -356,7 +353,6 @@ class Issuer:
 
     @property
     def fingerprint(self) -> str:
-        """The fingerprint of the authority, as every bundle brings it."""
         return authority_fingerprint(self.authority, self.fleet, self.ca)
 
     def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
@@ -431,7 +427,6 @@ class Issuer:
         return ""
 
     def issued(self) -> list[Issued]:
-        """Everybody who was let in, the first one first."""
         if not self.store.has(ISSUED_FILE):
             return []
         lines = self.store.read(ISSUED_FILE, "").splitlines()
@@ -526,7 +521,6 @@ def make_standby(store: KeyStore, *, replace: bool) -> str:
 def make_authority(
     store: KeyStore, standby: str, fleet: FleetPlace, now_s: int, *, replace: bool
 ) -> AuthorityKeys:
-    """Make the authority of a fleet, and that of its network."""
     private, ca = Ed25519PrivateKey.generate(), new_key()
     authority = AuthorityKeys(private.public_key().public_bytes_raw().hex(), standby)
     store.write(
@@ -544,12 +538,10 @@ def make_authority(
 
 
 def _holder(request: EnrolmentRequest) -> bytes:
-    """The key of a request, as ``Issued.holder`` has it."""
     return bytes.fromhex(request.key) if request.key else read_request(request.csr).key.encode()
 
 
 def rotate(store: KeyStore, authority: AuthorityKeys, now_s: int) -> Signed:
-    """A rotation to another authority, signed by the standby key."""
     private = store.ed25519(STANDBY_KEY, "'cruiser provision standby' makes it")
     serials = serials_of(store)
     serial = max(serials.rotation, now_s) + 1

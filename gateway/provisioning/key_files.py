@@ -55,16 +55,12 @@ from schemas.authority.trust import fingerprint
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import ZenohSettings
 
-LEAF_DAYS: Final = 30
-"""Life of a node's certificate."""
-
-RENEW_S: Final = LEAF_DAYS * 86_400 / 3
-"""It is time to renew when no more than this is left."""
+LEAF_DAYS: Final = 30  # life of a node's certificate
+RENEW_S: Final = LEAF_DAYS * 86_400 / 3  # it is time to renew when no more than this is left
 
 CA_DAYS: Final = 3653
 
-BACKDATED: Final = timedelta(minutes=5)
-"""A certificate is valid from a little earlier: no two clocks agree."""
+BACKDATED: Final = timedelta(minutes=5)  # a certificate is valid from a little earlier: no two clocks agree
 
 NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
 
@@ -92,7 +88,6 @@ def new_key() -> ec.EllipticCurvePrivateKey:
 
 
 def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
-    """The certificate of a new authority, self-signed, PEM."""
     name = _name("cruiser transport authority")
     builder = _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
     return _pem(_as_authority(builder).sign(key, SHA256()))
@@ -105,7 +100,6 @@ def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]
 
 
 def read_request(text: str) -> Applicant:
-    """Return the applicant of a certificate request."""
     return _applicant(_request(text))
 
 
@@ -128,7 +122,6 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
 
 
 def read_certificates(text: str) -> list[x509.Certificate]:
-    """The certificates of a PEM file, at least one."""
     try:
         return x509.load_pem_x509_certificates(text.encode())
     except (ValueError, UnsupportedAlgorithm) as error:
@@ -136,7 +129,6 @@ def read_certificates(text: str) -> list[x509.Certificate]:
 
 
 def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
-    """Return True if it is the certificate of this key."""
     return _raw(certificate.public_key()) == _raw(key.public_key())
 
 
@@ -166,7 +158,6 @@ def expires_s(certificate: x509.Certificate) -> int:
 
 
 def names_of(certificate: x509.Certificate) -> list[str]:
-    """The alternative names of a certificate: host names and addresses."""
     try:
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
@@ -289,8 +280,7 @@ _T = TypeVar("_T")
 
 STANDBY_FILE: Final = "standby.pub"
 
-OWNERS, FOR_ALL = 0o600, 0o644
-"""Modes of files."""
+OWNERS, FOR_ALL = 0o600, 0o644  # modes of files
 
 PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
 """Files that are copied to others, who have to read them: public keys of standby, authority and network."""
@@ -317,7 +307,6 @@ class Passphrase:
         return BestAvailableEncryption(self._known)
 
     def of(self, path: Path) -> bytes:
-        """That of a key that has one."""
         if self._known is None:
             self._known = self._read() if self._file else self._ask(f"passphrase of {path.name}: ")
         return self._known

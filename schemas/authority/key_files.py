@@ -29,8 +29,7 @@ KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.js
 
 FILE_MAX_BYTES: Final = 4_000_000
 
-OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO
-"""Permissions that nobody but the owner may have on a private key."""
+OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO  # permissions that nobody but the owner may have on a private key
 
 
 class FoundFile(msgspec.Struct, frozen=True):
@@ -78,7 +77,6 @@ def find(path: Path, cure: str = "") -> FoundFile:
 
 
 def check_owner(file: FoundFile) -> None:
-    """Check that a private key is its owner's alone."""
     shown = plain(str(file.path))
     if file.mode & OTHERS:
         raise CommandError(f"{shown} can be read by others; chmod 600 {shown}", ExitCode.USAGE)
@@ -162,12 +160,10 @@ INSTALLED: Final = "'cruiser provision install' writes it, out of the bundle wit
 
 
 def made(who: str) -> str:
-    """The cure for a key that is missing."""
     return f"'cruiser provision {who} NAME' makes it, and a request to the authority"
 
 
 def remade(who: str) -> str:
-    """The cure for a key that is damaged."""
     return f"'cruiser provision {who} NAME --replace' makes another, and a request to the authority"
 
 

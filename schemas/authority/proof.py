@@ -39,17 +39,10 @@ if TYPE_CHECKING:
 
 VERSION: Final = 1
 
-DOMAIN: Final = b"cruiser-auth-1\0"
-"""Every signed text begins so: a signature given elsewhere says nothing here."""
-
-SIGNATURE_BYTES: Final = 64
-"""Of Ed25519 (RFC 8032)."""
-
-TAG_BYTES: Final = 16
-"""Of HMAC-SHA256 (RFC 2104), cut to its first half."""
-
-KEY_BYTES: Final = 32
-"""Of a public key, Ed25519 or X25519."""
+DOMAIN: Final = b"cruiser-auth-1\0"  # every signed text begins so: a signature given elsewhere says nothing here
+SIGNATURE_BYTES: Final = 64  # of Ed25519 (RFC 8032)
+TAG_BYTES: Final = 16  # of HMAC-SHA256 (RFC 2104), cut to its first half
+KEY_BYTES: Final = 32  # of a public key, Ed25519 or X25519
 
 ID_BYTES: Final = 8
 
@@ -93,7 +86,6 @@ class RequestProof(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, attachment: bytes) -> Self | None:
-        """The proof that an attachment holds, or None if it holds none."""
         tag = attachment[_REQUEST.size :]
         if len(attachment) < _REQUEST.size or len(tag) not in {0, TAG_BYTES} or attachment[0] != VERSION:
             return None
@@ -132,7 +124,6 @@ class DriveProof(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, attachment: bytes) -> Self | None:
-        """The proof that an attachment holds, or None if it holds none."""
         if len(attachment) != _DRIVE.size or attachment[0] != VERSION:
             return None
         return cls(*_DRIVE.unpack(attachment)[1:])
@@ -162,13 +153,11 @@ class RobotProof(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, attachment: bytes) -> Self | None:
-        """The proof that an attachment holds, or None if it holds none."""
         if len(attachment) != _ROBOT.size or attachment[0] != VERSION:
             return None
         return cls(*_ROBOT.unpack(attachment)[1:])
 
     def attachment(self) -> bytes:
-        """The bytes that go with the reply or the sample."""
         return _ROBOT.pack(VERSION, self.boot, self.signature)
 
     def signed_reply(self, key: str, encoding: str, payload: bytes, request: bytes) -> bytes:
@@ -182,7 +171,6 @@ class RobotProof(msgspec.Struct, frozen=True):
         return signed_bytes(ProofKind.REPLY, key.encode(), encoding.encode(), fields, payload, request)
 
     def signed_publication(self, key: str, encoding: str, payload: bytes) -> bytes:
-        """The text under the signature of a published sample."""
         fields = self.attachment()[:-SIGNATURE_BYTES]
         return signed_bytes(ProofKind.PUBLICATION, key.encode(), encoding.encode(), fields, payload)
 
@@ -196,8 +184,7 @@ def statement_id(body: bytes) -> bytes:
     return hashlib.sha256(body).digest()[:ID_BYTES]
 
 
-STATEMENTS_MAX: Final = 3
-"""Statements of the longest chain of earlier versions: of a person, a group, and a site."""
+STATEMENTS_MAX: Final = 3  # statements of the longest chain of earlier versions: of a person, a group, and a site
 
 ALGORITHM: Final = "ed25519"
 
@@ -256,7 +243,6 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
     may_delegate: Delegations = 0
 
     def covers(self, robot: str) -> bool:
-        """Return True if a robot of this name is among its robots."""
         # ``*`` is the only sign that a pattern may hold which means something to fnmatch; it takes no time that
         # grows with a power of the stars, as a plain regular expression would.
         return any(fnmatchcase(robot, pattern) for pattern in self.robots)
@@ -314,7 +300,6 @@ class Signed(msgspec.Struct, frozen=True):
 
     @property
     def id(self) -> bytes:
-        """Its identifier."""
         return statement_id(self.body)
 
     @property
@@ -322,7 +307,6 @@ class Signed(msgspec.Struct, frozen=True):
         return signed_bytes(ProofKind.STATEMENT, self.body)
 
     def text(self) -> str:
-        """The two lines."""
         return f"{self.body.decode()}\n{ALGORITHM} {self.signer.hex()} {self.signature.hex()}\n"
 
 
@@ -333,7 +317,6 @@ class StatementFault(msgspec.Struct, frozen=True):
 
 
 def body_of(statement: Statement) -> bytes:
-    """The JSON of a new statement, to be signed."""
     return _ENCODER.encode(statement)
 
 
@@ -364,7 +347,6 @@ def read_chain(text: bytes) -> list[Signed] | StatementFault:
 
 
 def chain_text(chain: Iterable[Signed]) -> str:
-    """The text of a chain, as it is kept in files and sent."""
     return "".join(signed.text() for signed in chain)
 
 

@@ -25,12 +25,10 @@ def fingerprint(data: bytes) -> str:
 
 
 def key_fingerprint(key: str) -> str:
-    """The fingerprint of a public key, hexadecimal."""
     return fingerprint(bytes.fromhex(key))
 
 
-KEYS_KEPT: Final = 512
-"""Public keys that are kept as objects; to make one takes 20 us."""
+KEYS_KEPT: Final = 512  # public keys that are kept as objects; to make one takes 20 us
 
 SAME_AUTHORITY: Final = (
     "it keeps the authority's key: make a new authority beside the new standby, and rotate to that"
@@ -86,7 +84,6 @@ class Trust(msgspec.Struct, frozen=True):
     epoch: int = 0
 
     def judge(self, chain: list[Signed], now_s: int) -> HeldGrant | Objection:
-        """The grant that begins a chain, if it holds."""
         if not chain:
             return Objection(Reason.GRANT_UNKNOWN)
         signed, grant = chain[0], chain[0].statement
@@ -170,7 +167,6 @@ class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def trust(self) -> Trust:
-        """The trust that begins with these keys."""
         return Trust(bytes.fromhex(self.active), bytes.fromhex(self.standby))
 
 
