@@ -31,43 +31,52 @@ from gateway.cli.parent import end_with_parent
 if TYPE_CHECKING:
     from schemas.command_line import CommandError
 
-COMMANDS: Final[dict[str, tuple[str, str]]] = {
-    "demo": (
-        "gateway.cli.demo",
-        "chassis, gateway, recorder and two operators together; with --desk robots in the browser",
-    ),
-    "sim": ("gateway.cli.sim", "a virtual chassis on a CAN bus"),
-    "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
-    "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
-    "halt": ("gateway.cli.halt", "bring a robot to rest that no gateway commands any more"),
-    "record": ("recorder.cli.record", "write MCAP logs"),
-    "upload": ("recorder.cli.upload", "finished logs to an object store, incidents first"),
-    "watch": ("gateway.cli.watch", "a live view of a robot; without a name the list, live"),
-    "view": ("recorder.cli.view", "robots live in Foxglove and Lichtblick"),
-    "list": ("gateway.cli.list_robots", "all robots, lost ones too: state, speed, driver, health"),
-    "setup": ("gateway.cli.setup", "make a robot of a computer: settings, keys, services"),
-    "doctor": ("gateway.cli.doctor", "what is wrong with a robot, and what cures it"),
-    "metrics": ("gateway.cli.metrics", "a fleet's health for Prometheus"),
-    "desk": ("gateway.cli.desk", "see, drive and stop a fleet from a browser"),
-    "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
-    "stop": ("gateway.cli.stop", "the remote stop of a robot, of several, or of all"),
-    "why": ("gateway.cli.why", "why the robot does not move"),
-    "reset": ("gateway.cli.reset", "clear what is latched"),
-    "lease": ("gateway.cli.lease", "who may command the robot; acquire, take and keep the right to"),
-    "park": ("gateway.cli.verbs:PARK", "engage a robot and apply its parking brake"),
-    "unpark": ("gateway.cli.verbs:UNPARK", "engage a robot and allow drive commands to release its parking brake"),
-    "light": ("gateway.cli.verbs:LIGHT", "engage a robot and switch headlamp and indicators"),
-    "horn": ("gateway.cli.verbs:HORN", "engage a robot and sound its horn"),
-    "odometer": (
-        "gateway.cli.verbs:ODOMETER",
-        "set a robot's total mileage, or the pose of its odometry, to zero",
-    ),
-    "router": ("gateway.cli.router", "where robots and people meet: a Zenoh router with access by role"),
-    "provision": ("gateway.cli.provision", "keys, certificates and grants: who is who, and who may do what"),
-    "decode": ("gateway.cli.decode", "candump lines to JSON lines"),
-    "review": ("recorder.cli.review", "turn a log into answers"),
+GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
+    "try it": {
+        "demo": (
+            "gateway.cli.demo",
+            "run a chassis, a gateway, a recorder and two operators; with --desk a fleet",
+        ),
+        "sim": ("gateway.cli.sim", "run a virtual chassis on a CAN bus"),
+        "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
+    },
+    "on a robot": {
+        "setup": ("gateway.cli.setup", "set this computer up as a robot's gateway"),
+        "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
+        "halt": ("gateway.cli.halt", "bring a robot to rest that no gateway commands any more"),
+        "doctor": ("gateway.cli.doctor", "find what is wrong with a robot, and the cure"),
+        "decode": ("gateway.cli.decode", "decode candump lines to JSON lines"),
+    },
+    "operate": {
+        "list": ("gateway.cli.list_robots", "list all robots, lost ones too: state, speed, driver, health"),
+        "watch": ("gateway.cli.watch", "show a robot live; without a name all robots"),
+        "desk": ("gateway.cli.desk", "see, drive and stop a fleet in a browser"),
+        "view": ("recorder.cli.view", "show robots live in Foxglove and Lichtblick"),
+        "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
+        "stop": ("gateway.cli.stop", "stop a robot, several, or all: the remote stop"),
+        "why": ("gateway.cli.why", "explain why a robot does not move"),
+        "reset": ("gateway.cli.reset", "clear what is latched"),
+        "lease": ("gateway.cli.lease", "show, acquire, take or keep the right to command a robot"),
+        "park": ("gateway.cli.verbs:PARK", "engage a robot and apply its parking brake"),
+        "unpark": ("gateway.cli.verbs:UNPARK", "engage a robot and let drive commands release its parking brake"),
+        "light": ("gateway.cli.verbs:LIGHT", "engage a robot and switch headlamp and indicators"),
+        "horn": ("gateway.cli.verbs:HORN", "engage a robot and sound its horn"),
+        "odometer": ("gateway.cli.verbs:ODOMETER", "set a robot's total mileage, or its odometry's pose, to zero"),
+    },
+    "record and review": {
+        "record": ("recorder.cli.record", "write MCAP logs"),
+        "upload": ("recorder.cli.upload", "copy finished logs to an object store, incidents first"),
+        "review": ("recorder.cli.review", "turn logs into answers"),
+    },
+    "run a fleet": {
+        "provision": ("gateway.cli.provision", "make keys, certificates and grants: who may do what"),
+        "router": ("gateway.cli.router", "run a Zenoh router, where robots and people meet, with access by role"),
+        "metrics": ("gateway.cli.metrics", "serve a fleet's health to Prometheus"),
+    },
 }
-"""Name of the command, its module (and the object in it), and its line in the help."""
+"""By group: the name of each command, its module (and the object in it), and its line in the help."""
+
+COMMANDS: Final = {name: row for commands in GROUPS.values() for name, row in commands.items()}
 
 TAKE_HANGUPS: Final = frozenset({"record"})
 """Commands to which SIGHUP says something: until they hear it, it says nothing. Others it ends as SIGTERM does."""
@@ -120,6 +129,8 @@ def _silence_stdout() -> None:
 
 
 def _answer(words: list[str]) -> int:
+    if words[:1] == ["help"] and words[1:]:
+        words = [*words[1:], "--help"]
     if not words or words[0] in {"-h", "--help", "help"}:
         print(_help())  # noqa: T201 - the help is this command's output
         return 0 if words else 2
@@ -142,12 +153,12 @@ def _help() -> str:
     lines = [
         "usage: cruiser COMMAND [...]",
         "",
-        "Puts a Cruiser chassis on Zenoh and its feedback into MCAP logs.",
-        "",
+        "Puts drive-by-wire robots on Zenoh, safely, and turns logs into answers.",
     ]
     width = max(map(len, COMMANDS))
-    lines += [f"  {name:{width}}  {about}" for name, (_, about) in COMMANDS.items()]
-    lines += ["", "'cruiser COMMAND --help' explains a command and shows an example."]
+    for group, commands in GROUPS.items():
+        lines += ["", f"{group}:", *(f"  {name:{width}}  {about}" for name, (_, about) in commands.items())]
+    lines += ["", "'cruiser help COMMAND' explains a command and shows an example."]
     lines += ["exit codes: 0 ok, 1 findings or failure, 2 usage, 3 partial, 4 unreachable, 5 refused"]
     return "\n".join(lines)
 

@@ -16,22 +16,22 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review info logs\n  cruiser review QUESTION --help"
 
 QUESTIONS: Final[dict[str, tuple[str, str]]] = {
-    "find": (
-        "recorder.cli.find",
-        "stops, incidents, events, drives and logs of directories, from a catalog",
+    "find": ("recorder.cli.find", "find stops, incidents, events, drives and logs in directories"),
+    "info": ("recorder.cli.info", "show what logs hold"),
+    "check": ("recorder.cli.check", "check whether logs are whole, and what they lack"),
+    "events": ("recorder.cli.events", "list what happened, in order: stops, faults, refusals, and why"),
+    "why": ("recorder.cli.why", "explain why the robot stopped, or did not move, at a time"),
+    "verify": (
+        "recorder.cli.verify",
+        "prove who commanded, with which grant, and that nothing is missing or changed",
     ),
-    "info": ("recorder.cli.info", "what logs hold, as their ends and their recorder tell"),
-    "check": ("recorder.cli.check", "whether logs are what they say, and what they lack"),
-    "events": ("recorder.cli.events", "what happened, in order: stops, faults, refusals, and why"),
-    "why": ("recorder.cli.why", "why the robot stopped, or did not move, at a time"),
-    "verify": ("recorder.cli.verify", "who commanded, with which grant; is anything missing or changed"),
-    "rerun": ("recorder.cli.rerun", "recorded runs through today's arbiter, or with other settings"),
-    "report": ("recorder.cli.report", "a drive as one HTML page, for people"),
-    "layouts": ("recorder.cli.layouts", "layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
+    "rerun": ("recorder.cli.rerun", "run recorded inputs through today's arbiter again, or with other settings"),
+    "report": ("recorder.cli.report", "make one HTML page of a drive"),
+    "layouts": ("recorder.cli.layouts", "make layouts of Foxglove, Lichtblick, PlotJuggler and rerun for a log"),
     "replay": ("recorder.cli.replay", "publish a log again on Zenoh"),
-    "export": ("recorder.cli.export", "logs as Parquet or CSV, raw frames for the tools of CAN"),
-    "query": ("recorder.cli.query", "SQL over logs, or over an exported dataset"),
-    "cut": ("recorder.cli.cut", "a part of a log, as a log"),
+    "export": ("recorder.cli.export", "write logs as Parquet or CSV, raw frames for the tools of CAN"),
+    "query": ("recorder.cli.query", "ask logs, or an exported dataset, in SQL"),
+    "cut": ("recorder.cli.cut", "cut a part out of a log, as a log"),
     "recover": ("recorder.cli.recover", "make logs whole that their recorder could not finish"),
 }
 """Name of the question, its module, and its line in the help."""

@@ -34,6 +34,14 @@ def test_help_and_mistakes_are_answered_without_what_only_commands_need(words: l
     assert ours <= {"schemas", "schemas.command_line"}
 
 
+@pytest.mark.parametrize("words", [["drive"], ["review", "why"]])
+def test_help_before_a_command_is_that_of_the_command(words: list[str]) -> None:
+    """As of git; and each command is in one group of the whole help."""
+    asked, flagged = (cruiser(*one).stdout for one in (["help", *words], [*words, "--help"]))
+    assert asked == flagged
+    assert f"usage: cruiser {' '.join(words)}" in asked
+
+
 @pytest.mark.parametrize(
     ("redirection", "code", "says"),
     [(">&-", 0, ""), ("2>&-", 0, ""), (">/dev/full", 1, "No space left on device"), ("| true", 0, "")],
