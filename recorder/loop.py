@@ -28,11 +28,8 @@ from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
 
-PASS_SAMPLES: Final = 1000
-"""Samples between two ticks at most."""
-
-PASS_BYTES: Final = 4_000_000
-"""Bytes of samples from the inbox between two ticks at most."""
+PASS_SAMPLES: Final = 1000  # samples between two ticks at most
+PASS_BYTES: Final = 4_000_000  # bytes of samples from the inbox between two ticks at most
 
 INTAKE_SAMPLES: Final = 20_000
 """Samples moved into the inbox between two ticks at most, when more come than are recorded."""
@@ -40,23 +37,12 @@ INTAKE_SAMPLES: Final = 20_000
 PASS_NS: Final = 20_000_000
 """Samples are recorded for so long before what is due is looked for: one may take as long as a thousand others."""
 
-SLICE_SAMPLES: Final = 100
-"""Quick ones between two looks at the clock."""
-
-TICK_NS: Final = 20_000_000
-"""Pause between two ticks: with a thousand logs each takes its time."""
-
-LINK_NS: Final = 200_000_000
-"""Pause between two looks at the link."""
-
-IDLE_S: Final = 0.01
-"""Pause when nothing has come in."""
-
-LAST_ANSWERS_NS: Final = 500_000_000
-"""Longest wait of the end for robots that have not yet said who they are."""
-
-LAST_SAMPLES_NS: Final = 2_000_000_000
-"""Longest time in which the end still records what had already come in."""
+SLICE_SAMPLES: Final = 100  # quick ones between two looks at the clock
+TICK_NS: Final = 20_000_000  # pause between two ticks: with a thousand logs each takes its time
+LINK_NS: Final = 200_000_000  # pause between two looks at the link
+IDLE_S: Final = 0.01  # pause when nothing has come in
+LAST_ANSWERS_NS: Final = 500_000_000  # longest wait of the end for robots that have not yet said who they are
+LAST_SAMPLES_NS: Final = 2_000_000_000  # longest time in which the end still records what had already come in
 
 
 class SampleSource(Protocol):

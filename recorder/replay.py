@@ -76,8 +76,7 @@ def runs(rows: Iterable[Row]) -> Iterator[list[Row]]:
     yield from pending.values()
 
 
-DEFAULT_ROOT: Final = "replay"
-"""The root of a replay, which nobody takes for a robot's."""
+DEFAULT_ROOT: Final = "replay"  # the root of a replay, which nobody takes for a robot's
 
 _PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")
 """A key that names one thing: a log may hold anything, and a wildcard would reach many."""
@@ -87,13 +86,11 @@ _LAST_NS: Final = 2**63 - 1
 ENCODING_BYTES_MAX: Final = 255
 """Zenoh takes no longer encoding: its session panics over one, and sends nothing from then on."""
 
-DELETED: Final = "deleted"
-"""The reason with which the recorder keeps a sample that deletes its key."""
+DELETED: Final = "deleted"  # the reason with which the recorder keeps a sample that deletes its key
 
 MATCHES_KEPT: Final = 10_000
 
-Wants = Callable[[str], bool]
-"""Reports whether a key of the log is wanted."""
+Wants = Callable[[str], bool]  # reports whether a key of the log is wanted
 
 
 def wants_of(texts: Sequence[str]) -> Wants:
@@ -276,14 +273,9 @@ def _subject_of(topic: Topic) -> Subject | None:
     return parts.subject if topic.kind is recorded else None
 
 
-AS_FAST_AS_POSSIBLE: Final = 0.0
-"""The speed that waits for nothing."""
-
-FOR_EVER: Final = 0
-"""The number of loops that never ends."""
-
-LONGEST_PAUSE_NS: Final = 60_000_000_000
-"""A longer pause of the log is cut to this."""
+AS_FAST_AS_POSSIBLE: Final = 0.0  # the speed that waits for nothing
+FOR_EVER: Final = 0  # the number of loops that never ends
+LONGEST_PAUSE_NS: Final = 60_000_000_000  # a longer pause of the log is cut to this
 
 SET_BACK_NS: Final = 1_000_000_000
 """A message that is further behind in the log's time was received by a clock that had been set back."""
@@ -291,8 +283,7 @@ SET_BACK_NS: Final = 1_000_000_000
 SLIP_NS: Final = 1_000_000_000
 """A process that stood still for longer (Ctrl-Z, a machine that slept) resumes from there, without a burst."""
 
-ATTEND_NS: Final = 20_000_000
-"""The period in which the outlet is looked after."""
+ATTEND_NS: Final = 20_000_000  # the period in which the outlet is looked after
 
 
 class Pace:
@@ -418,8 +409,7 @@ log = logging.getLogger(__name__)
 
 TOKENS_WAITING: Final = 10_000
 
-TOKEN_TIMEOUT_S: Final = 1.0
-"""The start asks for gateways for so long."""
+TOKEN_TIMEOUT_S: Final = 1.0  # the start asks for gateways for so long
 
 POLL_S: Final = 0.02
 

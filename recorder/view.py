@@ -75,8 +75,7 @@ class ViewServer:
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = foxglove.Context()
         self._channels: dict[int, foxglove.Channel] = {}
-        self._ids: dict[int, int] = {}
-        """Our id of a channel, by the SDK's."""
+        self._ids: dict[int, int] = {}  # our id of a channel, by the SDK's
         self._subscriptions = _Subscriptions()
         chain, key = (None, None) if certificate is None else _read(*certificate)
         try:
@@ -260,17 +259,10 @@ def _robot_of(key: str) -> str:
     return parts.robot if parts is not None else key
 
 
-PASS_SAMPLES: Final = 1000
-"""Samples of a subject between two ticks at most."""
-
-TICK_NS: Final = 50_000_000
-"""Pause between two ticks."""
-
-WARN_NS: Final = 1_000_000_000
-"""A warning is repeated so often, for viewers who came after it."""
-
-IDLE_S: Final = 0.01
-"""Pause when nothing has come in."""
+PASS_SAMPLES: Final = 1000  # samples of a subject between two ticks at most
+TICK_NS: Final = 50_000_000  # pause between two ticks
+WARN_NS: Final = 1_000_000_000  # a warning is repeated so often, for viewers who came after it
+IDLE_S: Final = 0.01  # pause when nothing has come in
 
 
 class ViewLoop:

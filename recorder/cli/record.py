@@ -55,8 +55,7 @@ EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 LEFTOVERS_S: Final = 5.0
 """The end waits so long for the recovery of logs that an earlier recorder left; the next start resumes it."""
 
-FLEET_NAME: Final = "fleet"
-"""Begins the name of a log that may hold several robots, or what is no robot's."""
+FLEET_NAME: Final = "fleet"  # begins the name of a log that may hold several robots, or what is no robot's
 
 IDLE_NS: Final = 600_000_000_000
 """A log whose robot has said nothing for ten minutes is ended; if it says more, another is begun."""
@@ -68,14 +67,9 @@ router takes in a thousand robots it hears nobody for seconds, and each link tha
 COLLECT_AFTER: Final = (100_000, 50, 100)
 """Thresholds of the garbage collector: nothing that is made for each sample is in a circle."""
 
-FILES_APART: Final = 100
-"""Files and links that may be open besides the logs."""
-
-CHUNK_MIN_BYTES: Final = 16_384
-"""However small the files are to be, chunks are not made smaller for it than this."""
-
-BUDGET_FILES: Final = 20
-"""A file is ended at this part of the budget."""
+FILES_APART: Final = 100  # files and links that may be open besides the logs
+CHUNK_MIN_BYTES: Final = 16_384  # however small the files are to be, chunks are not made smaller for it than this
+BUDGET_FILES: Final = 20  # a file is ended at this part of the budget
 
 BUDGET_RINGS: Final = 4
 """The ring for incidents is at most this part of the budget: an incident begins with all of it."""

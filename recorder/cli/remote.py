@@ -70,11 +70,8 @@ ABOUT: Final = {
     "mark": "keep what was received shortly before and after now as an incident",
 }
 
-TIMEOUT_S: Final = 3.0
-"""The time for which a recorder is looked for, and its reply waited for."""
-
-LOOK_S: Final = 0.3
-"""One query waits so long for recorders to be found; then it is asked again."""
+TIMEOUT_S: Final = 3.0  # the time for which a recorder is looked for, and its reply waited for
+LOOK_S: Final = 0.3  # one query waits so long for recorders to be found; then it is asked again
 
 
 def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:

@@ -27,17 +27,10 @@ EXAMPLE: Final = """\
   cruiser upload -d logs --store file:///media/disk/logs --once
   AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=... cruiser upload -d logs --store s3://fleet-logs/plant-1"""
 
-KINDS: Final = ("s3://", "gs://", "az://", "file:///")
-"""The stores that there are."""
-
-LOOK_S: Final = 10.0
-"""Pause between two looks at the directory..."""
-
-AWAY_MAX_S: Final = 600.0
-"""...which doubles up to this while the store does not answer."""
-
-POLL_S: Final = 0.1
-"""A stop is noticed so soon."""
+KINDS: Final = ("s3://", "gs://", "az://", "file:///")  # the stores that there are
+LOOK_S: Final = 10.0  # pause between two looks at the directory
+AWAY_MAX_S: Final = 600.0  # ...which doubles up to this while the store does not answer
+POLL_S: Final = 0.1  # a stop is noticed so soon
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -36,13 +36,11 @@ EXAMPLE: Final = """\
   cruiser view cruiser-1 --layouts layouts        one robot, and the layouts to import
   cruiser view --root replay                      what 'cruiser review replay' publishes"""
 
-LISTEN: Final = ("127.0.0.1", 8765)
-"""The port that viewers propose."""
+LISTEN: Final = ("127.0.0.1", 8765)  # the port that viewers propose
 
 TIMEOUT_S: Final = 5.0
 
-QUEUE_SAMPLES: Final = 1000
-"""Samples of a subject that wait while the loop is held up; beyond it the oldest go."""
+QUEUE_SAMPLES: Final = 1000  # samples of a subject that wait while the loop is held up; beyond it the oldest go
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -136,28 +136,20 @@ class PartFile:
         """The sync that runs, or waits for a thread; each file has at most one."""
         self._wants_sync = False
         """Something was written that the present sync may not cover: another is to follow it."""
-        self._fault: OSError | None = None
-        """The failure of a sync, until the next write raises it."""
+        self._fault: OSError | None = None  # the failure of a sync, until the next write raises it
         self.when_synced: Callable[[], object] = int
         """Called on another thread after each sync, whatever became of it."""
-        self.has_synced = False
-        """True if the disk has taken anything of this file."""
-        self.kept_size = 0
-        """Bytes that the disk has said it keeps."""
+        self.has_synced = False  # true if the disk has taken anything of this file
+        self.kept_size = 0  # bytes that the disk has said it keeps
         self.is_doubtful = False
         """The disk has failed to keep what it had taken: what is beyond ``kept_size`` may be anything."""
-        self.is_left = False
-        """It could not be made whole, and holds messages."""
-        self.unkept_bytes = 0
-        """Memory of the chunks that were written, and that the disk may not keep yet."""
+        self.is_left = False  # it could not be made whole, and holds messages
+        self.unkept_bytes = 0  # memory of the chunks that were written, and that the disk may not keep yet
         self._unkept: deque[tuple[int, WriteChunk]] = deque()
         """Those chunks, each with its end in the file: they may have to be written again."""
-        self.kept_counts: Counter[int] = Counter()
-        """Messages of each channel that the disk keeps."""
-        self.kept_from_ns, self.kept_to_ns = NO_LIMIT, 0
-        """Their first and last log time."""
-        self.is_removed = False
-        """Somebody has removed it before it was ended."""
+        self.kept_counts: Counter[int] = Counter()  # messages of each channel that the disk keeps
+        self.kept_from_ns, self.kept_to_ns = NO_LIMIT, 0  # their first and last log time
+        self.is_removed = False  # somebody has removed it before it was ended
         with clear_errors(part):
             self._mcap = McapFile(stream, library)
 
@@ -348,8 +340,7 @@ class PartFile:
         sync_directory(self.path.parent)
 
 
-SYNC_THREADS: Final = 4
-"""Files that are synced at once: a file system syncs several in about the time of one."""
+SYNC_THREADS: Final = 4  # files that are synced at once: a file system syncs several in about the time of one
 
 STEM_MAX: Final = 150
 """Characters of a log's name before the time: who makes up a robot may call it longer than a disk takes."""
@@ -537,11 +528,8 @@ def new_path(directory: Path, name: str, suffix: str, taken: Collection[str] = (
 
 NAME: Final = ".uploaded.jsonl"
 
-NOTE_BYTES_MAX: Final = 64_000_000
-"""No more of it is read."""
-
-GONE_LINES: Final = 1000
-"""So many lines of logs that are gone, and the note is written anew without them."""
+NOTE_BYTES_MAX: Final = 64_000_000  # no more of it is read
+GONE_LINES: Final = 1000  # so many lines of logs that are gone, and the note is written anew without them
 
 
 class UploadedLog(msgspec.Struct, frozen=True):

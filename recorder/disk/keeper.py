@@ -48,8 +48,7 @@ log = logging.getLogger(__name__)
 
 REST_SUFFIX: Final = ".mcap.rest"
 DAMAGED_SUFFIX: Final = ".mcap.damaged"
-COPY_SUFFIX: Final = ".mcap.copy"
-"""A copy that is not finished; the next try begins it anew."""
+COPY_SUFFIX: Final = ".mcap.copy"  # a copy that is not finished; the next try begins it anew
 
 _SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
 
@@ -57,18 +56,12 @@ _SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
 class RecoveryOutcome(Enum):
     """The outcome of recovering a file."""
 
-    WHOLE = "whole"
-    """It was whole already."""
-    RECOVERED = "recovered"
-    """It is whole now, with all that was written."""
-    DAMAGED = "damaged"
-    """It was damaged; what is good is whole now."""
-    NOTHING = "nothing"
-    """Nothing in it can be read."""
-    BUSY = "busy"
-    """A recorder is writing it."""
-    FAILED = "failed"
-    """The disk or the system does not let it be recovered; it is as it was."""
+    WHOLE = "whole"  # it was whole already
+    RECOVERED = "recovered"  # it is whole now, with all that was written
+    DAMAGED = "damaged"  # it was damaged; what is good is whole now
+    NOTHING = "nothing"  # nothing in it can be read
+    BUSY = "busy"  # a recorder is writing it
+    FAILED = "failed"  # the disk or the system does not let it be recovered; it is as it was
 
 
 class Recovery(msgspec.Struct, frozen=True):
@@ -271,10 +264,8 @@ class LeftoverThread:
         self._directory = directory
         self._library = library
         self._signer = signer
-        self._has_failed = False
-        """The last look has left a part as it was."""
-        self._is_wanted = False
-        """A look is to begin as soon as the present one ends."""
+        self._has_failed = False  # the last look has left a part as it was
+        self._is_wanted = False  # a look is to begin as soon as the present one ends
         # What is there now: a part that is begun later is none of them.
         self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
@@ -318,22 +309,14 @@ class LeftoverThread:
         self._thread.join(timeout_s)
 
 
-LOOK_S: Final = 1.0
-"""Pause between two looks at the disk."""
-
-RETRY_S: Final = 10.0
-"""Pause before a file that could not be deleted is tried again; others go in its place."""
-
-END_S: Final = 2.0
-"""Longest wait of the end for a disk that does not answer."""
+LOOK_S: Final = 1.0  # pause between two looks at the disk
+RETRY_S: Final = 10.0  # pause before a file that could not be deleted is tried again; others go in its place
+END_S: Final = 2.0  # longest wait of the end for a disk that does not answer
 
 NOTICES_MAX: Final = 10_000
 
-PIECE_BYTES: Final = 1 << 20
-"""So much of a log is read at once."""
-
-FLOOR_MAX_SHARE: Final = 0.1
-"""No more than this of a file system is kept free, however small it is."""
+PIECE_BYTES: Final = 1 << 20  # so much of a log is read at once
+FLOOR_MAX_SHARE: Final = 0.1  # no more than this of a file system is kept free, however small it is
 
 _NAME: Final = re.compile(
     r"(?P<robot>[A-Za-z0-9._-]+)-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-(?P<number>\d+))*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
@@ -392,8 +375,7 @@ class DiskKeeper:
         """None once a line of it was wrong: whoever wrote that can write others."""
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = DiskRoom(has_room=True, has_incident_room=True)
-        self._stuck: dict[str, float] = {}
-        """Names of files that could not be deleted, and when to try again."""
+        self._stuck: dict[str, float] = {}  # names of files that could not be deleted, and when to try again
         self._place: os.stat_result | None = None
         """The directory as it was at the last look; None if it was not there."""
         self._closed = threading.Event()

@@ -6,8 +6,7 @@ from typing import Final
 
 SUFFIX: Final = ".mcap"
 PART_SUFFIX: Final = ".mcap.part"
-SIGNATURE_SUFFIX: Final = ".sig"
-"""Follows the name of a log that its recorder has signed."""
+SIGNATURE_SUFFIX: Final = ".sig"  # follows the name of a log that its recorder has signed
 
 INCIDENT_SUFFIX: Final = ".incident"
 """Stands before ``.mcap`` in the name of an incident: such a file is never deleted for want of room."""

@@ -43,10 +43,8 @@ class LogQueue:
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
         self._actions: deque[LogAction] = deque()
-        self.bytes = 0
-        """Memory of what waits."""
-        self._misfits = 0
-        """Chunks that can never fit, were everything else to go for them."""
+        self.bytes = 0  # memory of what waits
+        self._misfits = 0  # chunks that can never fit, were everything else to go for them
 
     def __len__(self) -> int:
         return len(self._actions)
@@ -121,14 +119,12 @@ NOTICES_MAX: Final = 10_000
 RETRY_MIN_S: Final = 0.2
 """First pause before a file is begun again after a fault that came at once again; it doubles."""
 
-RETRY_MAX_S: Final = 5.0
-"""The longest pause."""
+RETRY_MAX_S: Final = 5.0  # the longest pause
 
 FAULT: Final = "fault"
 """The reason in ``cruiser.continued`` of a file that was begun because another could not be written."""
 
-END_S: Final = 10.0
-"""Longest wait of the end for a disk that makes no progress."""
+END_S: Final = 10.0  # longest wait of the end for a disk that makes no progress
 
 
 class _Chain:
@@ -140,8 +136,7 @@ class _Chain:
         self.file: PartFile | None = None
         self.wanted: OpenLog | None = None
         """The file that is to be written, or to be continued in another one after a fault; None if none is."""
-        self.submitted = self.opened = 0
-        """Files that were asked for, and of those the ones whose turn has come."""
+        self.submitted = self.opened = 0  # files that were asked for, and of those the ones whose turn has come
         self.is_incident = False
 
     @property
@@ -175,28 +170,21 @@ class LogWriter:
         self._changed = threading.Condition()
         self._is_closing = False
         self._chains: dict[str, _Chain] = {}
-        self._failed: deque[str] = deque()
-        """Logs of which a sync has failed."""
+        self._failed: deque[str] = deque()  # logs of which a sync has failed
         self._ending: dict[str, LogAction] = {}
         """At the end: the logs whose file is to be ended when all is written."""
-        self._progress = 0
-        """Changes with everything that the disk gets on with."""
+        self._progress = 0  # changes with everything that the disk gets on with
         self._pause_s = 0.0
         self._is_faulty = False
         self._fault: BaseException | None = None
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._losses: dict[str, Lost] = {}
-        self._left: deque[Path] = deque(maxlen=NOTICES_MAX)
-        """Files with messages that could not be made whole."""
-        self.path: str | None = None
-        """The newest file with anything in it."""
+        self._left: deque[Path] = deque(maxlen=NOTICES_MAX)  # files with messages that could not be made whole
+        self.path: str | None = None  # the newest file with anything in it
         self.files = 0
-        self.bytes = 0
-        """Bytes of the files that are ended; ``files`` of them."""
-        self.lost = 0
-        """Messages that were received, and that the disk did not take or keep."""
-        self.is_hung = False
-        """The disk did not answer at the end: what it was given last may be lost, too."""
+        self.bytes = 0  # bytes of the files that are ended; ``files`` of them
+        self.lost = 0  # messages that were received, and that the disk did not take or keep
+        self.is_hung = False  # the disk did not answer at the end: what it was given last may be lost, too
         self._thread = threading.Thread(target=self._run, name="log writer", daemon=True)
         self._thread.start()
 

@@ -218,8 +218,7 @@ def message_class(kind: type[msgspec.Struct]) -> type[ProtobufMessage]:
     return GetMessageClass(pool.FindMessageTypeByName(schema_name(kind)))
 
 
-Encoder = Callable[[Any], bytes]
-"""A value to its protobuf bytes."""
+Encoder = Callable[[Any], bytes]  # a value to its protobuf bytes
 
 _VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5
 

@@ -32,8 +32,7 @@ Adder = Callable[[bytes, int], bool]
 """Payload and log time of a sample; whether it is in the chunk now. A payload that cannot be decoded raises."""
 
 
-FastPath = tuple[str, Adder]
-"""The encoding that a sample must have to take it, and its function."""
+FastPath = tuple[str, Adder]  # the encoding that a sample must have to take it, and its function
 
 
 class Latest:
@@ -118,14 +117,12 @@ def make(counters, chunk, channel_id, latest):
     return cast("Make", names["make"])
 
 
-DATA_BYTES: Final = 8
-"""Length of the frames that go this way."""
+DATA_BYTES: Final = 8  # length of the frames that go this way
 
 FRAMES_MAX: Final = 10_000
 """Frames of a batch: what a saturated bus carries in a second, and a gateway sends each 50 ms."""
 
-TEMPLATES_MAX: Final = 4096
-"""Two for each name of a bus; anybody may make up names."""
+TEMPLATES_MAX: Final = 4096  # two for each name of a bus; anybody may make up names
 
 # Marks that no record holds by chance, to find the places of the columns.
 _TIME_MARK: Final = 0x1122334455667788
@@ -242,8 +239,7 @@ RAW_CHUNK: Final = "@raw"
 FRAMES_MAX_BYTES: Final = 1_000_000
 """FRAMES_MAX of the longest frames take less: a larger batch is not even decoded."""
 
-Record = tuple[int, bytes]
-"""Publish time in nanoseconds, and protobuf bytes."""
+Record = tuple[int, bytes]  # publish time in nanoseconds, and protobuf bytes
 
 Transcoder = Callable[[Any], Sequence[Record]]
 """A message to its records: one each, but one per frame of a batch of raw frames."""

@@ -87,14 +87,12 @@ def copy(sample: ReceivedSample) -> WaitingSample:
     )
 
 
-SEQUENCE_SPAN: Final = 2**32
-"""Sequences wrap here."""
+SEQUENCE_SPAN: Final = 2**32  # sequences wrap here
 
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """Reasons for the loss of samples that were never decoded: their sequence is not known."""
 
-SOURCES_MAX: Final = 16
-"""Sources of one key that are followed; of more, those that were silent longest begin anew."""
+SOURCES_MAX: Final = 16  # sources of one key that are followed; of more, those that were silent longest begin anew
 
 RESTART_STEP: Final = 2**24
 """A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
@@ -122,10 +120,8 @@ class KeyCounters:
         self._bus_count: int | None = None
         # By source, the one that was heard last at the end.
         self._sources: dict[str, int | None] = {}
-        self.next: int | None = None
-        """The sequence that the next sample should have; None before the first."""
-        self._unread = 0
-        """Samples dropped unread while ``next`` was ``_unread_at``."""
+        self.next: int | None = None  # the sequence that the next sample should have; None before the first
+        self._unread = 0  # samples dropped unread while ``next`` was ``_unread_at``
         self._unread_at: int | None = None
 
     @property
@@ -174,8 +170,7 @@ class KeyCounters:
 
 SCHEMA_NAME: Final = "foxglove.Log"
 
-LOG_CHUNK: Final = "log"
-"""The last chunk of the topic."""
+LOG_CHUNK: Final = "log"  # the last chunk of the topic
 
 LEVELS: Final = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 

@@ -26,8 +26,7 @@ _TEMPLATES: Final = {
     for name, (file, _) in _FILES.items()
 }
 
-COUNT: Final = len(_FILES)
-"""So many does ``layouts`` make."""
+COUNT: Final = len(_FILES)  # so many does ``layouts`` make
 
 
 class RobotKeys(msgspec.Struct, frozen=True):

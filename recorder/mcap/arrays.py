@@ -34,8 +34,7 @@ from recorder.mcap.pieces import Declared, Fault, Index, MessageBlock, has_too_m
 Numbers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-PADDING: Final = 8
-"""Bytes behind the records, so that whole words can be read of the last one."""
+PADDING: Final = 8  # bytes behind the records, so that whole words can be read of the last one
 
 _OFFSET_MAX: Final = np.uint64(1 << 40)
 

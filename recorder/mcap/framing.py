@@ -22,11 +22,8 @@ from mcap.opcode import Opcode
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
-FIRST_RECORD: Final = len(MAGIC)
-"""Offset in a file of its first record."""
-
-RECORD_HEADER: Final = struct.Struct("<BQ")
-"""Opcode and length of what follows."""
+FIRST_RECORD: Final = len(MAGIC)  # offset in a file of its first record
+RECORD_HEADER: Final = struct.Struct("<BQ")  # opcode and length of what follows
 
 MESSAGE_OPCODE: Final = 0x05
 HEAD_FORMAT: Final = "BQHIQQ"
@@ -45,8 +42,7 @@ INDEX_HEADER: Final = struct.Struct("<BQHI")
 CHUNK_TIMES: Final = struct.Struct("<QQ")
 """The beginning of a chunk's record: the first and the last log time in it."""
 
-LAST_OPCODE: Final = max(Opcode)
-"""The last one that MCAP defines."""
+LAST_OPCODE: Final = max(Opcode)  # the last one that MCAP defines
 
 CHECK_OPCODE: Final = 0x80
 """A record of our own (MCAP leaves 0x80 and above to applications, and readers skip them): a checksum.

@@ -64,8 +64,7 @@ _CHUNK_HEAD: Final = struct.Struct("<QQQII")
 _ZSTD_HEAD: Final = struct.Struct("<QQQII4sQ")
 """The same of a chunk packed with zstd up to its data: the name, and the length of the data."""
 
-_DECLARED: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
-"""Besides messages, what a chunk may hold."""
+_DECLARED: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})  # besides messages, what a chunk may hold
 
 Topic = TypeVar("Topic")
 Made = TypeVar("Made")
@@ -383,8 +382,7 @@ def _in_words(error: Exception) -> str:
     return str(error) if isinstance(error, DamagedError) else f"a record cannot be read: {error}"
 
 
-SEARCH_BYTES: Final = 1 << 20
-"""The search for the next whole piece reads this much at once."""
+SEARCH_BYTES: Final = 1 << 20  # the search for the next whole piece reads this much at once
 
 LOOK_FOR_CHECKS: Final = 4096
 """A file is one of ours if there is a check within so many bytes of its beginning, where we have several."""

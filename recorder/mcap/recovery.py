@@ -29,8 +29,7 @@ from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL, Summary
 
 _NO_SCHEMA: Final = records.Schema(id=0, data=b"", encoding="", name="")
 
-FAULTS_SHOWN: Final = 20
-"""Faults that are listed one by one; the rest are only counted."""
+FAULTS_SHOWN: Final = 20  # faults that are listed one by one; the rest are only counted
 
 
 class Sink(Protocol):
@@ -122,14 +121,12 @@ class _Rebuild:
     def __init__(self, sink: Sink | None, repeated: LogSummary | None, *, has_checks: bool) -> None:
         self.summary = Summary()
         self.faults: list[str] = []
-        self.trailing = b""
-        """Message indexes that the last chunk lacks in its file."""
+        self.trailing = b""  # message indexes that the last chunk lacks in its file
         self.crc = 0 if sink is not None else zlib.crc32(MAGIC)
         self._size = 0 if sink is not None else len(MAGIC)
         self._sink = sink
         self._has_checks = has_checks
-        self._repeated = repeated
-        """The end of the file, which repeats schemas and channels."""
+        self._repeated = repeated  # the end of the file, which repeats schemas and channels
         self._schemas: dict[int, records.Schema] = {0: _NO_SCHEMA}
         self._channels: set[int] = set()
 

@@ -178,8 +178,7 @@ class Summary:
         self._end_ns = 0
         # The records that the summary will hold, by kind, and how many of each there are.
         self._encoded = {opcode: bytearray() for opcode in _SUMMARY_ORDER}
-        self._records: Counter[int] = Counter()
-        """Bytes of the last attachment's index."""
+        self._records: Counter[int] = Counter()  # bytes of the last attachment's index
 
     @property
     def messages(self) -> int:

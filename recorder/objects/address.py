@@ -13,11 +13,8 @@ import msgspec
 
 from schemas.command_line import plain
 
-SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")
-"""The stores that can be read."""
-
-UNLISTED: Final = ("https://", "http://")
-"""Those that tell of one object at a time."""
+SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")  # the stores that can be read
+UNLISTED: Final = ("https://", "http://")  # those that tell of one object at a time
 
 
 class StoreAddress(msgspec.Struct, frozen=True):

@@ -21,17 +21,13 @@ import msgspec
 from recorder.objects.address import Objects, StoreAddress, StoredObject, StoreError, shown_url
 from schemas.command_line import CommandError, ExitCode
 
-PIECE_BYTES: Final = 4 * 1024 * 1024
-"""The longest range of one request."""
-
-SMALL_MAX_BYTES: Final = 65_536
-"""A longer manifest, or signature, is none."""
+PIECE_BYTES: Final = 4 * 1024 * 1024  # the longest range of one request
+SMALL_MAX_BYTES: Final = 65_536  # a longer manifest, or signature, is none
 
 BESIDE: Final = (".json", ".sig")
 """Endings of the objects beside a log: its upload's manifest, and its recorder's signature."""
 
-WAIT_S: Final = 0.1
-"""Pause between two looks at a copy that another process is fetching."""
+WAIT_S: Final = 0.1  # pause between two looks at a copy that another process is fetching
 
 PART: Final = ".fetched"
 
@@ -58,8 +54,7 @@ class LogCache:
     def __init__(self, directory: Path, limit_bytes: int) -> None:
         self._directory = directory
         self._limit = limit_bytes
-        self._wanted: set[Path] = set()
-        """The copies that were asked for here."""
+        self._wanted: set[Path] = set()  # the copies that were asked for here
 
     def fetch(self, objects: Objects, place: StoreAddress, name: str, progress: Callable[[int], None]) -> Path:
         url = shown_url(place.join(name).url)

@@ -32,14 +32,9 @@ REQUEST_S: Final = 30.0
 
 CONNECT_S: Final = 5.0
 
-RETRIES: Final = 1
-"""So often the library asks again within ``REQUEST_S``..."""
-
-TRIES: Final = 2
-"""...and so often a range is asked for: a link may break in its middle."""
-
-LISTED_MAX: Final = 1_000_000
-"""Objects of a place that are looked at."""
+RETRIES: Final = 1  # so often the library asks again within ``REQUEST_S``
+TRIES: Final = 2  # ...and so often a range is asked for: a link may break in its middle
+LISTED_MAX: Final = 1_000_000  # objects of a place that are looked at
 
 if TYPE_CHECKING:
     from obstore import GetOptions

@@ -31,12 +31,10 @@ from recorder.reading.topics import Declared
 from schemas import keys
 from schemas.command_line import CommandError, plain
 
-FAULTS_SHOWN: Final = 20
-"""Faults that are listed one by one; the rest are only counted."""
+FAULTS_SHOWN: Final = 20  # faults that are listed one by one; the rest are only counted
 
 
-KNOWN_MAX: Final = 10_000
-"""So many are known again: a question may read a log more than once."""
+KNOWN_MAX: Final = 10_000  # so many are known again: a question may read a log more than once
 
 
 class Faults:
@@ -113,11 +111,8 @@ def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
     return [log for log in filled if log in its or not log.robots] or filled
 
 
-Window = tuple[int, int]
-"""From the first to the last log time, in nanoseconds since 1970."""
-
-Times = dict[str, "array[int]"]
-"""Of each topic the log times of its messages."""
+Window = tuple[int, int]  # from the first to the last log time, in nanoseconds since 1970
+Times = dict[str, "array[int]"]  # of each topic the log times of its messages
 
 ANY_TIME: Final[Window] = (0, 2**64 - 1)
 

@@ -41,12 +41,10 @@ from recorder.reading.topics import UNREADABLE, Declared, Topic, key_of
 from schemas import keys
 from schemas.messages import RawSample
 
-END_OF_TIME_NS: Final = 2**64
-"""Later than every log time."""
+END_OF_TIME_NS: Final = 2**64  # later than every log time
 
 Wants = Callable[[Topic], bool]
-Progress = Callable[[int], None]
-"""Takes the number of bytes that a file has been read further."""
+Progress = Callable[[int], None]  # takes the number of bytes that a file has been read further
 
 
 def every_topic(_topic: Topic) -> bool:

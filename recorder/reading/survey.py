@@ -85,8 +85,7 @@ def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -
     found.metadata += reader.metadata
 
 
-CONFIGURATION: Final = "configuration.toml"
-"""The attachment ``{robot}/configuration.toml``."""
+CONFIGURATION: Final = "configuration.toml"  # the attachment ``{robot}/configuration.toml``
 
 INFO: Final = "gateway/info"
 
@@ -96,8 +95,7 @@ ANSWERED_NS: Final = 30_000_000_000
 TEXTS_MAX: Final = 64 * 1024 * 1024
 """The length of all configurations of a robot that are kept; one has two thousand characters."""
 
-STARTED_NS: Final = 1_000_000_000
-"""A run's first journal is published so soon after its gateway was started."""
+STARTED_NS: Final = 1_000_000_000  # a run's first journal is published so soon after its gateway was started
 
 
 class Configurations(msgspec.Struct, frozen=True):

@@ -137,8 +137,7 @@ class LossReport:
         return gaps
 
 
-OVERFLOW_TOPIC: Final = "@more"
-"""The topic of the channel that all keys share for which there is no other."""
+OVERFLOW_TOPIC: Final = "@more"  # the topic of the channel that all keys share for which there is no other
 
 RESERVED_LINE_CHUNK: Final = "@log"
 """Events as viewers list them go to ``{key}/@log`` where ``{key}/log`` is somebody's key; no key goes there."""
@@ -162,8 +161,7 @@ class Channels:
     def __init__(self, declare: Callable[[LogChannel], None]) -> None:
         self._declare = declare
         self._by_key: dict[str, Route] = {}
-        self._lines: dict[str, Route] = {}
-        """By the key of the events."""
+        self._lines: dict[str, Route] = {}  # by the key of the events
         self._by_topic: dict[str, Route] = {}
         # By channel id, from 1.
         self._by_id: list[Route] = []

@@ -18,8 +18,7 @@ from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
 INCIDENT_MARK: Final = "!"
 """Behind a log's name this makes the name of the log of its incidents. No robot's name holds it."""
 
-ACTION_BYTES: Final = 100
-"""Memory that an action takes besides what it carries."""
+ACTION_BYTES: Final = 100  # memory that an action takes besides what it carries
 
 
 class LogAction(msgspec.Struct, frozen=True):
@@ -164,8 +163,7 @@ class Publish(msgspec.Struct, frozen=True):
     message: RecorderEvent | RecordGap
 
 
-Action = LogAction | Query | Publish
-"""Whatever a recorder asks for."""
+Action = LogAction | Query | Publish  # whatever a recorder asks for
 
 
 class Opened(msgspec.Struct, frozen=True):

@@ -36,17 +36,14 @@ class Incidents:
     """
 
     def __init__(self, name: str, before_ns: int, after_ns: int) -> None:
-        self.log = name + INCIDENT_MARK
-        """The name of the log of the incidents."""
+        self.log = name + INCIDENT_MARK  # the name of the log of the incidents
         self._name = name
         self._before_ns, self._after_ns = before_ns, after_ns
         self._ring: deque[tuple[int, Chunk]] = deque()
-        self.ring_bytes = 0
-        """Bytes of the messages in the ring."""
+        self.ring_bytes = 0  # bytes of the messages in the ring
         self._begun_ns = 0
         self._until_ns: int | None = None
-        self.about: dict[str, str] = {}
-        """The start and cause of the latest incident, in the form of INCIDENT_NAME."""
+        self.about: dict[str, str] = {}  # the start and cause of the latest incident, in the form of INCIDENT_NAME
 
     @property
     def is_open(self) -> bool:
@@ -123,8 +120,7 @@ def trim_rings(all_incidents: Iterable[Incidents], now_ns: int, limit_bytes: int
             heappush(heads, (oldest_ns, number))
 
 
-WAIT_NS: Final = 500_000_000
-"""The time without a state that counts as silence: states come every 50 ms."""
+WAIT_NS: Final = 500_000_000  # the time without a state that counts as silence: states come every 50 ms
 
 LIVES_NS: Final = 10_000_000_000
 """A gateway that still publishes states so long after its token went is alive. States that merely waited for a

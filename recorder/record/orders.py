@@ -16,8 +16,7 @@ from schemas.codec import PayloadFault
 from schemas.recording import Mark, RecorderHealth, RecorderReply, RecorderState
 from schemas.requests import Request
 
-REPLY_NS: Final = 2_000_000_000
-"""The longest wait of a reply for the disk; one that ends so says so."""
+REPLY_NS: Final = 2_000_000_000  # the longest wait of a reply for the disk; one that ends so says so
 
 MARKS_AT_ONCE: Final = 6
 """Marks that may follow each other closely. Their incidents take room that those of a fault may need."""
@@ -62,8 +61,7 @@ class Orders:
         self._health = health
         self._has_mark_room = has_mark_room
         self._pending: list[_Pending] = []
-        self._spent_to_ns = 0
-        """The time until which the marks that were taken have used up what is allowed."""
+        self._spent_to_ns = 0  # the time until which the marks that were taken have used up what is allowed
 
     def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
         """Do what a request asks. Nothing in a request raises."""

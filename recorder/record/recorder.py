@@ -43,8 +43,7 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from schemas.settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
 
-SAMPLE_BYTES: Final = 500
-"""Memory that a sample takes besides its payload and key, about."""
+SAMPLE_BYTES: Final = 500  # memory that a sample takes besides its payload and key, about
 
 
 class SampleInbox:
@@ -53,8 +52,7 @@ class SampleInbox:
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
         self._waiting: deque[tuple[ReceivedSample, int]] = deque()
-        self.bytes = 0
-        """Bytes that wait."""
+        self.bytes = 0  # bytes that wait
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -84,14 +82,12 @@ class SampleInbox:
                 return
 
 
-REPORT_LOSSES_NS: Final = 1_000_000_000
-"""Losses are reported once a second."""
+REPORT_LOSSES_NS: Final = 1_000_000_000  # losses are reported once a second
 
 QUICK_BYTES: Final = 65_536
 """A larger payload takes the slow path, where the time is looked at after each: it may take long to decode."""
 
-TICK_LOGS: Final = 50
-"""Logs that are looked after in one tick, or a part of all in TICK_TURNS."""
+TICK_LOGS: Final = 50  # logs that are looked after in one tick, or a part of all in TICK_TURNS
 
 TICK_TURNS: Final = 4
 """Ticks in which all logs have had their turn: a thousand in one tick would take all the time."""
@@ -128,8 +124,7 @@ class Recorder:
         self._lost_gateways = LostGateways()
         self._losses_reported_ns = 0
         self._turn = 0
-        self._askers: deque[RobotLog] = deque()
-        """The logs, the one first whose turn it is to ask."""
+        self._askers: deque[RobotLog] = deque()  # the logs, the one first whose turn it is to ask
         self._is_ending = False
         self._event_sequence = self._gap_sequence = 0
         self._has_room = True
@@ -139,8 +134,7 @@ class Recorder:
             for kind in (RecorderEvent, RecordGap)
         }
         """The topic of each kind of message that it publishes."""
-        self._own_keys = frozenset(self._own_topics.values())
-        """A sample from there is in the logs already."""
+        self._own_keys = frozenset(self._own_topics.values())  # a sample from there is in the logs already
 
     @property
     def state(self) -> RecorderState:

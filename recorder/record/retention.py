@@ -27,11 +27,8 @@ RESUME_SHARE: Final = 0.02
 ROLL_BYTES: Final = 100_000
 """Logs that are being written are ended, so that they may go, when they take so much together."""
 
-START_FORMAT: Final = "%Y%m%dT%H%M%SZ"
-"""The format of the start in a log's name."""
-
-OTHERS: Final = ""
-"""The share of all robots that are not known, where some are."""
+START_FORMAT: Final = "%Y%m%dT%H%M%SZ"  # the format of the start in a log's name
+OTHERS: Final = ""  # the share of all robots that are not known, where some are
 
 
 class LogEntry(msgspec.Struct, frozen=True):

@@ -69,8 +69,7 @@ the shortest time between two files, however often another one is asked for."""
 CONTINUED_NAME: Final = "cruiser.continued"
 """The metadata record with the number of a log's file, and why the file before it ended."""
 
-STANDING_MPS: Final = 0.05
-"""A robot that reads a lower speed stands."""
+STANDING_MPS: Final = 0.05  # a robot that reads a lower speed stands
 
 LATEST_NAME: Final = "cruiser.latest"
 """The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
@@ -78,8 +77,7 @@ LATEST_NAME: Final = "cruiser.latest"
 No message of a channel: no message may be there twice when the files of a log are put together.
 """
 
-GAPS_MAX: Final = 10_000
-"""Gaps of all logs that wait to be reported."""
+GAPS_MAX: Final = 10_000  # gaps of all logs that wait to be reported
 
 PENDING_EVENTS_MAX: Final = 1000
 """Events of the recorder that wait for the next file of a log; beyond it the oldest go."""
@@ -89,8 +87,7 @@ PENDING_GAPS_MAX: Final = 1000
 
 ANNOUNCEMENTS_MAX: Final = 1000
 
-VERSIONS_SAID_MAX: Final = 32
-"""Announcements of what other versions send; the words in them are the sender's."""
+VERSIONS_SAID_MAX: Final = 32  # announcements of what other versions send; the words in them are the sender's
 
 
 class LogPlan(msgspec.Struct, frozen=True):
@@ -155,32 +152,23 @@ class RobotLog:
         self._backlog = Backlog()
         self._counted: dict[str, KeyReport] = {}
         """The reports at the end of the file before: the next file counts from there."""
-        self._fast_keys: list[str] = []
-        """Its keys that take the fast path, while a file is written."""
+        self._fast_keys: list[str] = []  # its keys that take the fast path, while a file is written
         self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
         self._pending_gaps = LossReport(PENDING_GAPS_MAX)
         self._versions_said: set[str] = set()
         self.ended_ticks: dict[str, int] = {}
         """The ticks at which gateways reported that they were told to end, by the key of their events."""
-        self.is_open = False
-        """A file was asked for, and is not ended, whether the disk has begun it yet or not."""
-        self.is_paused = False
-        """No file is written, and none begun."""
-        self.file = ""
-        """The file that is being written, without its directory; empty if there is none, or not yet."""
-        self.incident_file = ""
-        """The same of an incident."""
-        self._is_incident_announced = True
-        """True if the latest incident has been opened, and that was announced."""
-        self._linked_incident = ""
-        """The incident that the present file of the log names."""
+        self.is_open = False  # a file was asked for, and is not ended, whether the disk has begun it yet or not
+        self.is_paused = False  # no file is written, and none begun
+        self.file = ""  # the file that is being written, without its directory; empty if there is none, or not yet
+        self.incident_file = ""  # the same of an incident
+        self._is_incident_announced = True  # true if the latest incident has been opened, and that was announced
+        self._linked_incident = ""  # the incident that the present file of the log names
         self._files = 0
-        self._is_awaited = False
-        """The disk has not begun the file yet: it is not ended for the sake of another."""
+        self._is_awaited = False  # the disk has not begun the file yet: it is not ended for the sake of another
         self._opened_ns = self._received_ns = 0
         self._rolled_ns: int | None = None
-        self._roll_wanted = ""
-        """The reason to end the file as soon as may be; empty if there is none."""
+        self._roll_wanted = ""  # the reason to end the file as soon as may be; empty if there is none
         self._ended_by = ""
         self._at_risk_since_ns: int | None = None
         # Half for what comes together, half for the ticks, the write and the sync.

@@ -40,8 +40,7 @@ it; recordings of a device are told apart by their content anyway.
 ASK_AGAIN_NS: Final = 2_000_000_000
 """First pause before a gateway that has not answered, or does not know its variant, is asked again; it doubles."""
 
-ASK_AGAIN_MAX_NS: Final = 60_000_000_000
-"""The longest pause between two such queries."""
+ASK_AGAIN_MAX_NS: Final = 60_000_000_000  # the longest pause between two such queries
 
 _INFO: Final = BY_TYPE[GatewayInfo]
 
@@ -251,18 +250,14 @@ class _Room:
         return self.said.pop(place)
 
 
-ANSWER_NS: Final = 1_000_000_000
-"""A piece that is not whole after this time is asked for again."""
-
-TRIES: Final = 5
-"""Queries for one piece in a row; then it is given up."""
+ANSWER_NS: Final = 1_000_000_000  # a piece that is not whole after this time is asked for again
+TRIES: Final = 5  # queries for one piece in a row; then it is given up
 
 AGAIN_NS: Final = 2_000_000_000
 """Shortest time between two queries for the whole past of a key: two gateways of one name look like a restart with
 every sample."""
 
-RANGES_MAX: Final = 32
-"""Gaps of one key that wait; beyond it the oldest are given up."""
+RANGES_MAX: Final = 32  # gaps of one key that wait; beyond it the oldest are given up
 
 HELD: Final = 16_384
 """Samples of one key that are known again, by their place in the run: as many as a gateway keeps, in 2 MB."""
@@ -276,8 +271,7 @@ class _Range:
     def __init__(self, start: int, end: int | None, *, counted: bool) -> None:
         self.start = start
         self.end = end
-        self.counted = counted
-        """The key's counters count them as missed."""
+        self.counted = counted  # the key's counters count them as missed
         self.asked_to = start
         self.asked_ns: int | None = None
         self.tries = 0

@@ -21,12 +21,10 @@ from schemas.authority.key_files import Identity
 from schemas.authority.proof import KEY_BYTES, Grant, Rotation, Signed, StatementFault, chain_text, read_chain
 from schemas.authority.trust import Trust, fits
 
-SIGNATURE_MAX_BYTES: Final = 65_536
-"""A longer file is none: a chain of grants takes a few thousand."""
+SIGNATURE_MAX_BYTES: Final = 65_536  # a longer file is none: a chain of grants takes a few thousand
 
 _DOMAIN: Final = "cruiser-log-1"
-_DER: Final = bytes.fromhex("302a300506032b6570032100")
-"""Stands before an Ed25519 key in DER (RFC 8410)."""
+_DER: Final = bytes.fromhex("302a300506032b6570032100")  # stands before an Ed25519 key in DER (RFC 8410)
 
 _FORM: Final = re.compile(
     rf"{_DOMAIN}\n([0-9a-f]{{64}})  ([A-Za-z0-9._-]+)\n([A-Za-z0-9+/]{{86}}==)\n"
@@ -97,8 +95,7 @@ class LogSigner:
         return LogSignature(sha256, file, signature, self._identity.chain).text()
 
 
-TRUSTS_MAX: Final = 8
-"""The authority before a rotation, and those after: what each signed is proven."""
+TRUSTS_MAX: Final = 8  # the authority before a rotation, and those after: what each signed is proven
 
 VERIFIED_PER_TICK: Final = 2
 """Statements that are verified in a tick, up to three signatures each: a flood of forged ones costs no more."""

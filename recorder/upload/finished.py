@@ -26,8 +26,7 @@ from recorder.record.signed_mode import SIGNATURE_MAX_BYTES, LogSignature
 from schemas.command_line import module_command, other_kind, plain
 from schemas.peers import RateLimit
 
-ROW_S: Final = 600.0
-"""Making a row is given up after this time..."""
+ROW_S: Final = 600.0  # making a row is given up after this time
 
 ROW_S_PER_BYTE: Final = 20e-6
 """...and this much for each byte of the log: 20 s a megabyte, on a robot that has other things to do."""
@@ -67,23 +66,16 @@ def row_maker(module: str) -> Summarize:
 
 FORMAT: Final = "cruiser.upload/1"
 
-MANIFEST_SUFFIX: Final = ".json"
-"""Follows the log's own name."""
-
-ROW_SUFFIX: Final = ".row.json.zst"
-"""Follows the log's own name: its row of the catalog."""
-
-NAMESAKES_MAX: Final = 20
-"""Different logs of one name that a store takes, each with a number."""
+MANIFEST_SUFFIX: Final = ".json"  # follows the log's own name
+ROW_SUFFIX: Final = ".row.json.zst"  # follows the log's own name: its row of the catalog
+NAMESAKES_MAX: Final = 20  # different logs of one name that a store takes, each with a number
 
 
 class UploadState(Enum):
     """The progress of an upload."""
 
-    UPLOADING = "uploading"
-    """Begun. The log beside it may be missing, or be wrong."""
-    VERIFIED = "verified"
-    """The store held what the disk held."""
+    UPLOADING = "uploading"  # Begun. The log beside it may be missing, or be wrong.
+    VERIFIED = "verified"  # the store held what the disk held
 
 
 class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
@@ -141,8 +133,7 @@ DISK_BYTES_PER_S: Final = 8_000_000
 SAFELY: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 """A FIFO would be waited for, and a link leads to where this must not read."""
 
-PART_BYTES: Final = 5 * 1024 * 1024
-"""Larger logs go in parts of this length: the smallest that S3 takes."""
+PART_BYTES: Final = 5 * 1024 * 1024  # larger logs go in parts of this length: the smallest that S3 takes
 
 
 class UnfitLogError(Exception):

@@ -58,11 +58,8 @@ READ_BACK_BYTES: Final = 1024 * 1024
 SMALL_MAX_BYTES: Final = 4 * 1024 * 1024
 """A manifest is no larger: whatever else a store answers would fill the robot's memory."""
 
-PART_S: Final = timedelta(minutes=5)
-"""A request may take so long: a part over a link of 18 kB/s."""
-
-REQUEST_S: Final = timedelta(minutes=3)
-"""A link may be away for so long, and a part that was begun goes on."""
+PART_S: Final = timedelta(minutes=5)  # a request may take so long: a part over a link of 18 kB/s
+REQUEST_S: Final = timedelta(minutes=3)  # a link may be away for so long, and a part that was begun goes on
 
 
 class LogStore:
@@ -144,17 +141,10 @@ def _store_errors() -> Generator[None, None, None]:
 
 log = logging.getLogger(__name__)
 
-TRIES: Final = 2
-"""A log that the store holds otherwise than it was sent is sent so often before it has to wait."""
-
-RETRY_S: Final = 600.0
-"""Pause before a log that cannot be uploaded is tried again; others go before it."""
-
-STORE_RETRY_S: Final = 60.0
-"""The same for one that the store did not take, which may be gone as a whole."""
-
-AWAY_AFTER: Final = 2
-"""A store that did not take so many logs in a row is gone."""
+TRIES: Final = 2  # a log that the store holds otherwise than it was sent is sent so often before it has to wait
+RETRY_S: Final = 600.0  # pause before a log that cannot be uploaded is tried again; others go before it
+STORE_RETRY_S: Final = 60.0  # the same for one that the store did not take, which may be gone as a whole
+AWAY_AFTER: Final = 2  # a store that did not take so many logs in a row is gone
 
 READ_BACK: Final = "read back"
 CHECKSUM: Final = "checksum"
@@ -210,13 +200,10 @@ class Uploader:
         self._store = store
         self._note = note
         self._pace = pace
-        self._retry_s: dict[str, float] = {}
-        """Logs that could not be uploaded, and when to try again."""
-        self._failures = 0
-        """Logs in a row that the store did not take."""
+        self._retry_s: dict[str, float] = {}  # logs that could not be uploaded, and when to try again
+        self._failures = 0  # logs in a row that the store did not take
         self._summarize = summarize
-        self._rowless: deque[tuple[str, str]] = deque()
-        """Logs that are safe and have no row yet: file and object."""
+        self._rowless: deque[tuple[str, str]] = deque()  # logs that are safe and have no row yet: file and object
         self.totals = UploadTotals()
 
     async def upload_all(self, may_go_on: Callable[[], bool]) -> bool:

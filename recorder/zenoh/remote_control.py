@@ -36,11 +36,8 @@ log = logging.getLogger(__name__)
 CLIENT_REPLIES_WAITING: Final = 256
 """More than there are recorders: a reply that found no room would hold up Zenoh's own thread."""
 
-LONGEST_S: Final = 86_400.0
-"""Zenoh waits no longer than a day."""
-
-POLL_S: Final = 0.002
-"""Period at which replies are looked for."""
+LONGEST_S: Final = 86_400.0  # Zenoh waits no longer than a day
+POLL_S: Final = 0.002  # period at which replies are looked for
 
 
 def _read(verb: str, sample: zenoh.Sample) -> RecorderReply | PayloadFault:
@@ -123,8 +120,7 @@ class RecorderClient:
             return  # Zenoh's way to say that the query has ended.
 
 
-QUERIES_WAITING: Final = 64
-"""Requests that may wait between two passes of the loop; beyond it the oldest go."""
+QUERIES_WAITING: Final = 64  # requests that may wait between two passes of the loop; beyond it the oldest go
 
 REQUESTS_PER_PASS: Final = 8
 
@@ -136,11 +132,8 @@ REPLIES_WAITING: Final = 128
 
 REQUEST_MAX_BYTES: Final = 4096
 
-NAMESAKES_S: Final = 1.0
-"""Time in which the start listens for other recorders: the links to them take their time."""
-
-NAMESAKES_PAUSE_S: Final = 0.05
-"""Pause between two queries for other recorders at the start."""
+NAMESAKES_S: Final = 1.0  # time in which the start listens for other recorders: the links to them take their time
+NAMESAKES_PAUSE_S: Final = 0.05  # pause between two queries for other recorders at the start
 
 NAMESAKES_MAX: Final = 100
 
@@ -150,8 +143,7 @@ class RemoteControl:
 
     def __init__(self, settings: Settings) -> None:
         self._root = settings.robot.root
-        self.listen = listen_beside(settings.zenoh)
-        """Where it listens."""
+        self.listen = listen_beside(settings.zenoh)  # where it listens
         self._session = join(settings.zenoh, self.listen, own=SMALL_BATCHES)
         self.name = self._free_name(settings.recorder.name or host_name())
         """Its name: the one that is set, or with a number behind it where another recorder has that."""

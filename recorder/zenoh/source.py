@@ -48,18 +48,14 @@ SMALL_BATCHES: Final[dict[str, Json]] = {"transport/link/tx/batch_size": 16_384}
 """The links' batches, both ways. A sample that waits keeps all of the batch in memory that it came in: with
 Zenoh's own 64 KiB a recorder of 300 robots grew to 1.4 GB. Less would leave senders too little for a stall."""
 
-REPLY_TIMEOUT_S: Final = 2.0
-"""Longest wait of a query for its reply."""
+REPLY_TIMEOUT_S: Final = 2.0  # longest wait of a query for its reply
 
 RING_SAMPLE_BYTES: Final = 3_200
 """Of ``recorder.queue_bytes`` for a sample in Zenoh's own ring, of each key expression: 20,000 of them in 64 MB.
 There they wait while the loop is held up."""
 
-DRAIN_BYTES: Final = 16_000_000
-"""Payloads that one ``drain`` takes, about."""
-
-PENDING_MAX: Final = 64
-"""Queries on their way at once; beyond it the oldest is given up."""
+DRAIN_BYTES: Final = 16_000_000  # payloads that one ``drain`` takes, about
+PENDING_MAX: Final = 64  # queries on their way at once; beyond it the oldest is given up
 
 TOKENS_WAITING: Final = 10_000
 
@@ -116,8 +112,7 @@ class ZenohSource:
         expressions = distinct(key_expressions)
         self._queue_samples = queue_samples
         self._pending: list[tuple[str, _Replies]] = []
-        self.listen = said_of(settings).listen
-        """The endpoints that it listens on."""
+        self.listen = said_of(settings).listen  # the endpoints that it listens on
         self._session = join(settings, self.listen, own=SMALL_BATCHES)
         self._declared = DeclaredKeys(self._session.declare_publisher)
         self._subscribers: dict[zenoh.KeyExpr, _Samples] = {}
@@ -125,8 +120,7 @@ class ZenohSource:
         self._tokens: Any = self._session.liveliness().declare_subscriber(
             keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
-        self.is_behind = False
-        """True if more had come in than the last ``drain`` gave."""
+        self.is_behind = False  # true if more had come in than the last ``drain`` gave
         self._overlap = have_overlap(expressions)
         self._subscribe(expressions)
 
@@ -249,8 +243,7 @@ ROBOT_SAMPLES: Final = 1_000
 """Samples of a robot that may wait for each key expression, 1.4 s of a robot at its full rate. A ring takes all of
 its memory at once."""
 
-ROBOTS_MAX: Final = 20_000
-"""Robots that are subscribed to at most: anybody may declare a token."""
+ROBOTS_MAX: Final = 20_000  # robots that are subscribed to at most: anybody may declare a token
 
 
 class ShardedSource(ZenohSource):
