@@ -299,6 +299,7 @@ class ArbiterRig(Acted):
             "fails": lambda count: arbiter.monitor.send_failures == int(count),
             # The output, now and since "mark".
             "silent": lambda: told is None,
+            "cut_off": lambda: arbiter.handover.is_cut_off,
             "told": lambda speed_mps: told is not None and near(told.speed_mps, speed_mps, 1e-3),
             "below": lambda speed_mps: told is not None and told.speed_mps < float(speed_mps),
             "gear": lambda gear: told is not None and told.gear.value == gear,

@@ -21,13 +21,13 @@ OTHER = "commander_ns:1000000000000"
 
 ENGAGE = {
     "nobody asks": "ready; tick 50; = quiet",
-    "five enables with zero speed until it reads auto": "ready; see angle_deg:7 mode:stop; acquire; engage; mark; "
-    "= pending, engaging; tick 20; = spoken, speechless, braked, enabled, gear neutral, angle 7, answered; see; "
-    "tick; = answered engage none, engaged, by engaged first, target 0 7",
+    "five enables with zero speed until it reads auto": "ready; see angle_deg:7 mode:stop; acquire; engage; "
+    "mark; = pending, engaging; tick 20; = spoken, speechless, braked, enabled, gear neutral, angle 7, answered; "
+    "see; tick; = answered engage none, engaged, by engaged first, target 0 7",
     "the bus takes frames again, or we shall see": "ready; fails 9; acquire; engage; = fails 0, engaging",
     "somebody's old enables confirm nothing": "ready; see mode:auto; acquire; engage; = engaging; tick; = engaged",
-    "it does not read auto in a second": f"{INTO_AUTO}; tick 99; = engaging; tick; = stopping, "
-    "answered engage not_confirmed",
+    "it does not read auto in a second": f"{INTO_AUTO}; tick 99; = engaging; tick; = stopping, answered engage "
+    "not_confirmed",
     "the remote control has it": f"{INTO_AUTO}; see mode:remote; tick; = answered engage hand_transmitter",
     "a bumper is hit": f"{INTO_AUTO}; see front_bumper:true; tick; = answered engage front_bumper",
     "stopped in the same tick": "ready; see mode:stop; acquire; together engage + stop; = told 0, stopping",
@@ -50,8 +50,8 @@ def stops(cause: str, reason: str, told_mps: float = 0.48) -> str:
 LIMITED = "ready; acquire; engage speed_limit_mps:0.5; tick 2; drive; unpark; drive 0.5 150"
 CAUSES = {
     **{
-        f"deadman of {deadman_s} s": f"engaged deadman_s:{deadman_s}; drive; tick {ticks}; = engaged; tick; "
-        f"= for deadman, event stop deadman info; text stop none for {ticks * 10 + 10} ms"
+        f"deadman of {deadman_s} s": f"engaged deadman_s:{deadman_s}; drive; tick {ticks}; = engaged; tick; = for "
+        f"deadman, event stop deadman info; text stop none for {ticks * 10 + 10} ms"
         for deadman_s, ticks in ((0.3, 30), (0.1, 10))
     },
     "missing": stops("missing:Auto_GearFeedBack+Auto_LightFeedback", "feedback_missing")
@@ -65,8 +65,8 @@ CAUSES = {
     "another computer": stops(OTHER, "other_commander"),
     # A warning makes an incident. The planned end of a drive makes none; a stop at once always does.
     **{
-        f"{does} at {speed_mps} m/s": f"driving {speed_mps} 200; {does}; = events stop {reason}, "
-        f"event stop {reason} {moving if speed_mps else standing}"
+        f"{does} at {speed_mps} m/s": f"driving {speed_mps} 200; {does}; = events stop {reason}, event stop "
+        f"{reason} {moving if speed_mps else standing}"
         for (does, reason, standing, moving), speed_mps in product(
             [
                 ("tick 31", "deadman", "info", "warning"),
@@ -78,33 +78,31 @@ CAUSES = {
             (0.0, 1.0),
         )
     },
-    "a stop in a slower stop": "driving 1 200; disengage; = told 0.988; stop by second; = told 0.968, "
-    "for disengaged, latched remote_stop; stop by carl; = events latch remote_stop",
-    "a graver cause in a stop": "driving 1 200; disengage; see speed_mps:1 wheel_speed_mps:1; tick 100; "
-    "= has implausible_speed",
-    "a bumper standing by": "ready; see rear_bumper:true; tick 3; = latched rear_bumper, silent, "
-    "events latch rear_bumper",
-    "the end": "engaged; drive 0.5 10; shutdown; = for shutdown; tick; = event gateway shutdown info, "
-    "event stop shutdown info",
+    "a stop in a slower stop": "driving 1 200; disengage; = told 0.988; stop by second; = told 0.968, for "
+    "disengaged, latched remote_stop; stop by carl; = events latch remote_stop",
+    "a graver cause in a stop": "driving 1 200; disengage; see speed_mps:1 wheel_speed_mps:1; tick 100; = has "
+    "implausible_speed",
+    "a bumper standing by": "ready; see rear_bumper:true; tick 3; = latched rear_bumper, silent, events latch "
+    "rear_bumper",
+    "the end": "engaged; drive 0.5 10; shutdown; = for shutdown; tick; = event gateway shutdown info, event stop "
+    "shutdown info",
     "the end standing by: somebody else may have it in auto": "ready; see mode:auto; tick; shutdown; = standby; "
     "acquire; engage; = refused shutdown",
     # A fault of our own: in gear, and from there the stop goes on; also where the bus takes nothing.
     **{
         f"a burst is refused{stop}": f"driving 1 60{stop}; drive 1; refuse; = enabled, gear drive, told 0, "
-        "parking, "
-        "latched gate; latch gate why; undo; tick; = enabled, gear drive, told 0, parking; tick 3; = phase hold; "
-        "tick 200; = standby"
+        "parking, latched gate; latch gate why; undo; tick; = enabled, gear drive, told 0, parking; tick 3; = "
+        "phase hold; tick 200; = standby"
         for stop in ("", "; disengage")
     },
     # A speed is judged as its frames say it: asked 0.11 m/s, a coarse chassis is told 0.08, and may read one bit.
     **{
-        f"asked {asked_mps} m/s, one bit seen": f"driving {asked_mps} 60; see all:0.04 pulses:1; "
-        f"drive {asked_mps} 60; = {is_found}for feedback_frozen"
+        f"asked {asked_mps} m/s, one bit seen": f"driving {asked_mps} 60; see all:0.04 pulses:1; drive "
+        f"{asked_mps} 60; = {is_found}for feedback_frozen"
         for asked_mps, is_found in ((0.11, "un"), (0.13, ""))
     },
     "horn, lamps and odometer end": "engaged; horn on:true; light headlamp:true; clear_odometer; stop; mark; "
-    "tick; "
-    "= beside Light Speaker Odometer, lamps lit",
+    "tick; = beside Light Speaker Odometer, lamps lit",
 }
 
 
@@ -124,9 +122,8 @@ ITSELF = {
         ("angle_deg:5.1", "steering", 31, "told 0.48, unparking"),
     ]
 } | {
-    "a brake that does not read applied": "driving 0.5 100; see brake:released; stop; tick 30; = phase park; "
-    "tick 269; = events fault; tick 500; = events fault not_confirmed, event fault not_confirmed error, gear "
-    "drive, "
+    "a brake that does not read applied": "driving 0.5 100; see brake:released; stop; tick 30; = phase park; tick "
+    "269; = events fault; tick 500; = events fault not_confirmed, event fault not_confirmed error, gear drive, "
     "parking; text fault the parking brake does not read applied| the motor holds the robot in gear meanwhile"
 }
 
@@ -140,10 +137,10 @@ def test_what_the_robot_does_of_itself_stops_it_and_is_latched(row: str) -> None
 END = {
     "disabled": "engaged; disengage; until phase disable; mark; tick 49; = spoken; tick; = silent, standby, "
     "event stopped disengaged info, events takeover; text stopped and stands",
-    "not seen to stand": "engaged; see missing:Auto_DriveFeedBack speed_mps:null; tick 600; "
-    "= event stopped feedback_missing error; text stopped but the robot is not seen to stand",
-    "beside another computer": f"engaged; stop; see {OTHER}; tick 400; "
-    "text stopped but another computer commands it, and can move it",
+    "not seen to stand": "engaged; see missing:Auto_DriveFeedBack speed_mps:null; tick 600; = event stopped "
+    "feedback_missing error; text stopped but the robot is not seen to stand",
+    "beside another computer": f"engaged; stop; see {OTHER}; tick 400; text stopped but another computer "
+    "commands it, and can move it",
 }
 
 
@@ -161,23 +158,23 @@ YIELDS = {
         for (seen, kind, reason, left), stop in product(
             [
                 ("mode:remote", "takeover", "hand_transmitter", "latched, enabled, gear drive, told 0, parking"),
-                ("bus_up:false", "takeover", "bus_down", "latched, silent"),
-                ("bus_losses:1 mode:undefined bus_up:false", "takeover", "bus_down", "latched, silent"),
-                ("guard_sends:true", "guard", "guard", "latched guard, silent"),
+                ("bus_up:false", "takeover", "bus_down", "latched, silent, cut_off"),
+                ("bus_losses:1 mode:undefined bus_up:false", "takeover", "bus_down", "latched, silent, cut_off"),
+                # The gravest first; a bus that was lost and is back is a way.
+                ("bus_losses:1 mode:remote", "takeover", "bus_down", "latched, silent, uncut_off"),
+                ("guard_sends:true", "guard", "guard", "latched guard, silent, uncut_off"),
+                ("guard_stops:1 bus_up:false mode:remote", "guard", "guard", "latched guard, silent, uncut_off"),
             ],
             ("", "; disengage"),
         )
     },
     "a horn that was cut off": "engaged; horn on:true; see mode:remote; tick; see mode:stop; tick 6; engage; "
-    "tick; "
-    "= beside Speaker; tick 10; = beside",
+    "tick; = beside Speaker; tick 10; = beside",
     # A robot that is seen to move is not left.
     **{
         f"coasts by {seen}{stop}": f"driving 0.5 100{stop}; see mode:stop all:0 turns:false {seen}; tick; = "
-        "enabled, "
-        f"told 0, gear drive, parking; tick 1000; = phase hold; see mode:stop all:0 turns:false; tick 200; = "
-        "silent, "
-        f"for {reason}"
+        "enabled, told 0, gear drive, parking; tick 1000; = phase hold; see mode:stop all:0 turns:false; tick "
+        f"200; = silent, for {reason}"
         for seen, (stop, reason) in product(
             ("pulses:1", "fastest_wheel_mps:0.5", "turns:true confirmed:false"),
             (("", "mode_not_auto"), ("; disengage", "disengaged")),
@@ -186,8 +183,8 @@ YIELDS = {
     # The guard stopped it for 6 s, and stands by now; one that reads auto all the same is stopped from there.
     **{
         f"back after the guard has ended, {seen}": "driving 1; = told 1; see guard_stops:1 mode:stop "
-        "brake:applied "
-        f"all:0 {seen}; mark; late 6000; = latched guard, events guard guard, {says}; tick 300; = speechless"
+        f"brake:applied all:0 {seen}; mark; late 6000; = latched guard, events guard guard, {says}; tick 300; = "
+        "speechless"
         for seen, says in (("", "silent"), ("mode:auto", "told 0"), ("mode:undefined speed_mps:null", "silent"))
     },
     "a burst went out after the pause": "driving 1; see guard_stops:1 mode:auto speed_mps:0.04 "
@@ -198,22 +195,19 @@ YIELDS = {
         f"all:{seen_mps}; late 500; = told {told_mps}"
         for seen_mps, told_mps in ((0, 0), (0.4, 0.38), ("null", 0), (1.3, 0.98))
     },
-    "the guard left it to the remote control": "driving 1; see guard_sends:true mode:remote; tick 5; "
-    "see mode:remote guard_stops:1; tick 5; = silent; see mode:auto guard_stops:1 gear:drive; tick; = told 0",
+    "the guard left it to the remote control": "driving 1; see guard_sends:true mode:remote; tick 5; see "
+    "mode:remote guard_stops:1; tick 5; = silent; see mode:auto guard_stops:1 gear:drive; tick; = told 0",
     # What is not seen in the first moment may be seen in the next: nothing is told before.
     **{
         f"a bus that comes back, unseen, left at {speed_mps} m/s": f"engaged; drive {speed_mps} 60; see "
-        "mode:undefined "
-        "gear:undefined bus_up:false bus_losses:1; tick 100; see mode:undefined gear:undefined bus_losses:1; "
-        "mark; "
-        "tick 19; = quiet; tick; = told 0, parking"
+        "mode:undefined gear:undefined bus_up:false bus_losses:1; tick 100; see mode:undefined gear:undefined "
+        "bus_losses:1; mark; tick 19; = quiet; tick; = told 0, parking"
         for speed_mps in (0, 0.5)
     },
     # The chassis keeps our last command, and would obey it.
     **{
         f"obeys again, {seen}": f"engaged; see mode:remote; tick 100; = events stop; see {seen}; tick; = "
-        "stopping, "
-        "for found_moving, told 0"
+        "stopping, for found_moving, told 0"
         for seen in ("mode:auto", "mode:undefined missing:body")
     },
 }
@@ -227,8 +221,8 @@ def test_when_the_output_ceases_and_what_comes_after(row: str) -> None:
 
 ADRIFT = "gear:drive brake:released turns:true angle_deg:0 all:1"
 GIVEN_BACK = {
-    f"left at {left_mps}, seen at {seen_mps}{stop}": f"driving {left_mps}; see mode:remote; tick 100{stop}; "
-    f"see mode:auto gear:drive brake:released all:{seen_mps}; mark; tick; = told {max(0.0, from_mps - step_mps)}; "
+    f"left at {left_mps}, seen at {seen_mps}{stop}": f"driving {left_mps}; see mode:remote; tick 100{stop}; see "
+    f"mode:auto gear:drive brake:released all:{seen_mps}; mark; tick; = told {max(0.0, from_mps - step_mps)}; "
     f"tick 4; = told {max(0.0, from_mps - 5 * step_mps)}; tick 35; = spoken, falling"
     for (left_mps, seen_mps, from_mps), (stop, step_mps) in product(
         [(0.5, 0.3, 0.3), (0.5, 1.9, 0.5), (0.0, 1.9, 0.0), (-0.5, 0.3, 0.0)],
@@ -245,8 +239,8 @@ def test_a_robot_that_is_given_back_is_not_told_a_speed_above_what_it_was_left_o
 
 FOUND = {
     **{
-        f"{seen}": f"ready; see {ADRIFT} mode:auto angle_deg:30 {seen}; tick 20; = standby; tick; = enabled, "
-        f"gear {gear}, told {max(0.0, from_mps - 0.012)}, angle {angle_deg}, events stop found_moving, {rest}"
+        f"{seen}": f"ready; see {ADRIFT} mode:auto angle_deg:30 {seen}; tick 20; = standby; tick; = enabled, gear "
+        f"{gear}, told {max(0.0, from_mps - 0.012)}, angle {angle_deg}, events stop found_moving, {rest}"
         for seen, gear, from_mps, angle_deg, rest in [
             ("gear:drive", "drive", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
             ("gear:reverse wheel_speed_mps:-1", "reverse", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
@@ -270,12 +264,11 @@ FOUND = {
         for ticks, parks in ((10, ""), (99, "un"))
     },
     "nothing is seen: the brake from the first frame on": "ready; see mode:undefined gear:undefined "
-    "speed_mps:null "
-    "fastest_wheel_mps:null missing:all; mark; stop; tick 600; = unquiet, speechless, braked",
+    "speed_mps:null fastest_wheel_mps:null missing:all; mark; stop; tick 600; = unquiet, speechless, braked",
     # A remote stop is sent where the chassis may obey an old command, or coasts in mode stop.
     **{
-        f"stopped in {seen}": f"ready; see {seen}; tick; stop by anyone; = has remote_stop, {told}; "
-        "text latch by anyone"
+        f"stopped in {seen}": f"ready; see {seen}; tick; stop by anyone; = has remote_stop, {told}; text latch by "
+        "anyone"
         for seen, told in [
             ("mode:auto", "enabled, told 0, parking"),
             ("mode:undefined", "enabled, told 0, parking"),
@@ -285,6 +278,10 @@ FOUND = {
             ("mode:auto guard_sends:true", "silent"),
             ("mode:stop gear:drive brake:released pulses:1", "enabled, told 0, parking"),
             ("mode:stop gear:drive brake:released fastest_wheel_mps:0.5", "enabled, told 0, parking"),
+            ("mode:stop gear:drive brake:released turns:true confirmed:false", "enabled, told 0, parking"),
+            ("mode:stop pulses:1 bus_up:false", "silent"),
+            ("mode:stop pulses:1 guard_sends:true", "silent"),
+            ("mode:remote pulses:1", "silent"),
         ]
     },
     # The reply says what the robot does, and what keeps the stop from being carried out.
@@ -329,8 +326,8 @@ STANDING = {
             (0.0, "engaged"),
         )
     },
-    "warned from engage on, and no speed is told": "engaged warning_s:2; drive 0.5 190; = lamps dark lit, told 0, "
-    "bound warning; drive 0.5 40; mark; drive 0.5 60; = lamps none, unsilent, untold 0, unbound warning",
+    "warned from engage on, and no speed is told": "engaged warning_s:2; drive 0.5 190; = lamps dark lit, told "
+    "0, bound warning; drive 0.5 40; mark; drive 0.5 60; = lamps none, unsilent, untold 0, unbound warning",
     **{
         f"stood for {ticks} ticks": f"engaged warning_s:1; drive 0.5 300; = told 0.5; mark; drive 0 {ticks + 50}; "
         f"= lamps none; mark; drive 0.5 90; = {un}lit, {un}bound warning; drive 0.5 200; = told 0.5"
@@ -341,8 +338,7 @@ STANDING = {
     # The chassis keeps its indicators while somebody else commands it: what we send next clears them.
     **{
         f"cut off by the remote control, then {then}": "engaged warning_s:2; drive 0.5 50; see mode:remote; tick "
-        "500; "
-        f"see; tick 50; {then}; mark; tick 50; = dark"
+        f"500; see; tick 50; {then}; mark; tick 50; = dark"
         for then in ("acquire; engage", "see all:0.3 turns:true")
     },
 }

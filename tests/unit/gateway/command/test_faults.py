@@ -151,12 +151,12 @@ FEEDBACK: dict[str, str] = {
     },
     # Whatever they hold: 0 to 7 bytes, and CAN FD.
     **{
-        f"{length} bytes": f"driving 1; corrupt Auto_DriveFeedBack length {length}; drive 1 0 0.04; wait 0.3; "
-        "= stopped, for feedback_missing; rest; = rests, in_order"
+        f"{length} bytes": f"driving 1; corrupt Auto_DriveFeedBack length {length}; drive 1 0 0.04; wait 0.3; = "
+        "stopped, for feedback_missing; rest; = rests, in_order"
         for length in (*range(8), 9, 12, 16, 64)
     },
-    "blocked: told no jump, and given up within 2 s": "ready fast; engage; mark; motor 0; drive 2.2 0 2; "
-    "= latched not_moving, most 0.48",
+    "blocked: told no jump, and given up within 2 s": "ready fast; engage; mark; motor 0; drive 2.2 0 2; = "
+    "latched not_moving, most 0.48",
     # At one coarse bit the speeds read zero, and the pulses count rightly.
     **{
         f"{variant} creeps at {creep_mps}, then off by {acceleration_mps2}": f"ready variant:{variant} "
@@ -167,11 +167,10 @@ FEEDBACK: dict[str, str] = {
         )
     },
     # Speeds that read zero since before a speed was told prove nothing.
-    "it stands only if its feedback has answered": "ready fast; engage; reply stop none; detail the robot stands; "
-    "wait 4; reply acquire none; reply reset none; engage; drive 2.2 0 0.16; freeze all; drive 2.2 0 0.5; "
-    "reply stop not_confirmed; detail the speed reads 0, unchanged for; = unconfirmed; clear; wait 6; = "
-    "confirmed; "
-    "text stopped and stands",
+    "it stands only if its feedback has answered": "ready fast; engage; reply stop none; detail the robot "
+    "stands; wait 4; reply acquire none; reply reset none; engage; drive 2.2 0 0.16; freeze all; drive 2.2 0 "
+    "0.5; reply stop not_confirmed; detail the speed reads 0, unchanged for; = unconfirmed; clear; wait 6; = "
+    "confirmed; text stopped and stands",
     # The bumper is hidden for four metres at most: the wheels contradict the mileage; engaging anew hides nothing.
     "a frozen body frame hides a bumper": f"driving 1; freeze {BODY}; drive 1 0 0.1; bumper front on; mark; "
     "drive 1 0 6; = latched feedback_frozen, way 4",
@@ -179,17 +178,16 @@ FEEDBACK: dict[str, str] = {
     + "drive 0.5 0 2; ask disengage; wait 4; reply take none; ask engage; wait 0.3; drive 0; ask unpark; " * 5
     + "= has feedback_frozen, way 4.5",
     **{
-        f"{variant} read as {other}": f"ready variant:{variant}; engage; scale wrong; drive 1 0 2; "
-        f"= has implausible_speed; text latch the {other} scale of the drive frames would fit; wait 6; = rests"
+        f"{variant} read as {other}": f"ready variant:{variant}; engage; scale wrong; drive 1 0 2; = has "
+        f"implausible_speed; text latch the {other} scale of the drive frames would fit; wait 6; = rests"
         for variant, other in (("coarse", "fine"), ("fine", "coarse"))
     },
     # The gate lets no speed pass in an unknown scale: the stop begins at zero, and is heard.
     "a variant in doubt at speed": "driving 1.5; doubt; drive 1.5; = for variant_unknown, told 0; wait 6; = "
-    "rests, "
-    "standby",
+    "rests, standby",
     **{
-        f"silence of {name}": f"driving 1; silence {name}; drive 1 0 {borne_s(name)}; = engaged; drive 1 0 0.1; "
-        "= for feedback_missing; rest; = rests"
+        f"silence of {name}": f"driving 1; silence {name}; drive 1 0 {borne_s(name)}; = engaged; drive 1 0 0.1; = "
+        "for feedback_missing; rest; = rests"
         for name in REQUIRED
     },
     **{
@@ -197,8 +195,8 @@ FEEDBACK: dict[str, str] = {
         for name, fault in product(sorted(set(STANDING) - set(REQUIRED)), ("silence", "checksum", "stuck"))
     },
     **{
-        f"five checksums of {name} in a second": f"driving 1; checksum {name} for 4 frames; drive 1 0 0.5; "
-        f"= engaged; wait 0; checksum {name} for 1 frames; drive 1 0 0.1; = for feedback_faulty"
+        f"five checksums of {name} in a second": f"driving 1; checksum {name} for 4 frames; drive 1 0 0.5; = "
+        f"engaged; wait 0; checksum {name} for 1 frames; drive 1 0 0.1; = for feedback_faulty"
         for name in REQUIRED
     },
     # The counter fits again after 16, so silence is declared before.
@@ -219,9 +217,8 @@ FEEDBACK: dict[str, str] = {
     },
     # At a command that need not show, either of pulses and mileage is enough.
     **{
-        f"speeds and {name} frozen of a slow robot": f"ready; engage; mark; {freeze(*SCALED, name)}; "
-        "drive 0.2 0 20; "
-        f"= first feedback_frozen, rests, way {most_m}"
+        f"speeds and {name} frozen of a slow robot": f"ready; engage; mark; {freeze(*SCALED, name)}; drive 0.2 0 "
+        f"20; = first feedback_frozen, rests, way {most_m}"
         for name, most_m in ((BODY, 0.6), ("Auto_WheelPulseFeedback", 3.2))
     },
     "another scale while it stands": "ready; engage; drive 0 0 0.2; variant fine; drive 0 0 0.6; "
@@ -244,8 +241,8 @@ def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) ->
     """Row 'alive counter: +1 per fault, -1 per good frame, at 5: stop'; frozen, and every step from 2 to 15."""
     fault = f"skip {name} by {step}" if step else f"stuck {name}"
     play(
-        f"driving 1; {fault}; drive 1 0 0.04; = engaged; drive 1 0 0.06; = stopped, "
-        "for feedback_faulty feedback_missing"
+        f"driving 1; {fault}; drive 1 0 0.04; = engaged; drive 1 0 0.06; = stopped, for feedback_faulty "
+        "feedback_missing"
     )
 
 
@@ -259,8 +256,7 @@ BUS: dict[str, str] = {
     # The ramp is still to come when it is free again; but not from the old speed.
     "jammed in a stop": "driving 1.5; stop; takes 0; wait 5; takes all; mark; rest; = in_order, rests",
     "jammed for 10 s, and the chassis changed": "driving 1.5; stop; tick 5; takes 0; wait 10; exchange; takes "
-    "all; "
-    "mark; wait 6; = spoken, speechless, standby",
+    "all; mark; wait 6; = spoken, speechless, standby",
     # The speed is the first frame of a burst; the brake is heard when there is room.
     "takes the speed alone": "driving 1; stop; takes 1; mark; tick 70; = falling, heard 0, phase park, unparked; "
     "takes all; wait 0.1; = phase hold",
@@ -294,8 +290,8 @@ BUS: dict[str, str] = {
     },
     # Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame.
     **{
-        f"a parked robot and {by}": f"driving 1; ask stop; hold; tick 20; = phase hold; mark; {by}; wait 6; "
-        "= spoken, braked"
+        f"a parked robot and {by}": f"driving 1; ask stop; hold; tick 20; = phase hold; mark; {by}; wait 6; = "
+        "spoken, braked"
         for by in (
             "transmitter remote; wait 0.5; transmitter command",
             "bus lost; wait 1; bus again",
@@ -311,10 +307,10 @@ BUS: dict[str, str] = {
             "bus lost; tick 1; = events takeover bus_down; wait 1; bus again",
         )
     },
-    "the controller leaves it": "driving 1; controller off; rest; = for bus_off, event fault bus_off; "
-    "reply acquire none; reply engage bus_off; controller active; engage; = engaged",
-    "another computer": "driving 1; foreign 18C4D3D0 every 10ms for 50ms; drive 1 0 0.04; = stopping, "
-    "for other_commander",
+    "the controller leaves it": "driving 1; controller off; rest; = for bus_off, event fault bus_off; reply "
+    "acquire none; reply engage bus_off; controller active; engage; = engaged",
+    "another computer": "driving 1; foreign 18C4D3D0 every 10ms for 50ms; drive 1 0 0.04; = stopping, for "
+    "other_commander",
 }
 
 
@@ -338,73 +334,67 @@ def test_a_full_buffer_stops_the_robot_and_nothing_stale_leaves(takes: int, vari
 def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(takes: int, variant: Variant) -> None:
     """As a full queue does that drains a little each tick: the speed goes first, and ramps down."""
     play(
-        f"driving 1; mark; takes {takes}; ask stop; drive 1 0 0.05; = for remote_stop; wait 3; = rests, "
-        "falling, mute",
+        f"driving 1; mark; takes {takes}; ask stop; drive 1 0 0.05; = for remote_stop; wait 3; = rests, falling, "
+        "mute",
         variant,
     )
 
 
 TAKEN: dict[str, str] = {
-    "by the remote control": "driving 1; transmitter remote; sticks 0.3 0; drive 1 0 0.06; = standby, "
-    "events takeover hand_transmitter; drive 1 0 2; = parted; mark; drive 1 0 1; = silent; "
-    "reply engage hand_transmitter",
+    "by the remote control": "driving 1; transmitter remote; sticks 0.3 0; drive 1 0 0.06; = standby, events "
+    "takeover hand_transmitter; drive 1 0 2; = parted; mark; drive 1 0 1; = silent; reply engage hand_transmitter",
     # The mode leaves auto for one frame only, and the chassis goes on by what it was told.
     "for one frame": f"driving 1.5; corrupt once {BODY} flipped 41; drive 1.5 0 0.06; = stopping, for "
-    "mode_not_auto; "
-    "wait 6; = rests",
+    "mode_not_auto; wait 6; = rests",
     # One frame reads remote, then none comes: it may obey its old command for ever.
-    "then silent": f"driving 1; corrupt last {BODY} flipped 40; drive 1 0 0.06; = standby; wait 6; "
-    "= events stop found_moving, rests",
+    "then silent": f"driving 1; corrupt last {BODY} flipped 40; drive 1 0 0.06; = standby; wait 6; = events stop "
+    "found_moving, rests",
     "a stop that was barred": "ready; transmitter remote; sticks 0.5 0; wait 1.5; reply stop hand_transmitter; "
-    "detail the robot moves at 0.48 m/s; = unspoken; sticks 0 0; wait 2; = unparked; transmitter command; wait 3; "
-    "= parked, standby",
+    "detail the robot moves at 0.48 m/s; = unspoken; sticks 0 0; wait 2; = unparked; transmitter command; wait "
+    "3; = parked, standby",
     # The steering is off by a degree (manual V2.0, 2.2) when the mode leaves auto.
     "a stop that begins where another ended": "driving 0.5; drive 0 0 1; corrupt Auto_SteeringFeedBack askew; "
     "wait 0.1; forget; wait 3; = unhas gate, parked",
     # The first burst after a silence is not held against the last one before it.
-    "steered meanwhile": "ready; engage; drive 0 20 0.5; transmitter remote; sticks 0 -20; wait 2; "
-    "transmitter command; wait 5; reply take none; engage; = engaged",
+    "steered meanwhile": "ready; engage; drive 0 20 0.5; transmitter remote; sticks 0 -20; wait 2; transmitter "
+    "command; wait 5; reply take none; engage; = engaged",
     # Another computer may own the bus.
     "driven by another computer": "driving 1; succeed; foreign 18C4D3D0 every 50ms; wait 2; = unspoken, moves 1",
     # Only the first robot that is found moving after a crash is latched.
     **{
         f"found moving{crash}": f"ready{crash}; slope -20; adopt 0.5; wait 0.5; = event stop found_moving, "
         f"latched {latched}; wait 15; = rests; reply acquire none; reply reset none; reply release none; slope "
-        "-20; "
-        "adopt 0.5; wait 0.5; = latched; wait 15; = rests"
+        "-20; adopt 0.5; wait 0.5; = latched; wait 15; = rests"
         for crash, latched in (("; crash", "found_moving"), ("", ""))
     },
     **{
-        f"{name} is cleared at speed": f"driving 1; deaf; unset {name}; drive 1 0 0.06; = for mode_not_auto, "
-        "told 0, "
-        "parking; hears; drive 1 0 4; = standby, ruled not_engaged, rests"
+        f"{name} is cleared at speed": f"driving 1; deaf; unset {name}; drive 1 0 0.06; = for mode_not_auto, told "
+        "0, parking; hears; drive 1 0 4; = standby, ruled not_engaged, rests"
         for name in MOTION_FRAMES
     },
     **{
-        f"{name} is cleared at rest": f"ready; engage; deaf; unset {name}; drive 1 0 0.06; "
-        "= events takeover mode_not_auto; mark; hears; drive 1 0 2; = silent, ruled not_engaged"
+        f"{name} is cleared at rest": f"ready; engage; deaf; unset {name}; drive 1 0 0.06; = events takeover "
+        "mode_not_auto; mark; hears; drive 1 0 2; = silent, ruled not_engaged"
         for name in MOTION_FRAMES
     },
     # What a ramp left in the chassis is not executed when it is given back; the gateway may be gone by then.
     **{
         f"taken while its mode is unknown for {away_ms} ms": f"driving 1; silence {BODY} for {away_ms}ms; "
-        f"{REMOTE.format(1)}; drive 1 0 1; = standby; sticks 0 0; wait 3; mark; deaf; transmitter command; "
-        "wait 5; "
-        "= rests, parked, way 0.05"
+        f"{REMOTE.format(1)}; drive 1 0 1; = standby; sticks 0 0; wait 3; mark; deaf; transmitter command; wait "
+        "5; = rests, parked, way 0.05"
         for away_ms in range(400, 601, 20)
     },
     # The bus returns, and the remote control drives since then; a body frame that comes in time is waited for.
     **{
-        f"owed a stop for {phase_ms} ms": f"driving 1; bus lost; {REMOTE.format(2)}; tick 2; ask stop; "
-        f"tick {phase_ms // 10 + 5}; bus again; silence {BODY} for {phase_ms}ms; mark; wait 2; = speechless, "
+        f"owed a stop for {phase_ms} ms": f"driving 1; bus lost; {REMOTE.format(2)}; tick 2; ask stop; tick "
+        f"{phase_ms // 10 + 5}; bus again; silence {BODY} for {phase_ms}ms; mark; wait 2; = speechless, "
         "braked" + ", unspoken" * (phase_ms <= 150)
         for phase_ms in range(10, 410, 10)
     },
-    "given back in motion": f"driving 1; {REMOTE.format(1)}; drive 1 0 1; mark; transmitter command; wait 4; "
-    "= rests, spoken, speechless",
-    "given back while it is latched": f"ready; ask stop; wait 1; {REMOTE.format(0.3)}; wait 1; sticks 0 0; "
-    "wait 1; "
-    "transmitter command; wait 3; = latched remote_stop, parked",
+    "given back in motion": f"driving 1; {REMOTE.format(1)}; drive 1 0 1; mark; transmitter command; wait 4; = "
+    "rests, spoken, speechless",
+    "given back while it is latched": f"ready; ask stop; wait 1; {REMOTE.format(0.3)}; wait 1; sticks 0 0; wait "
+    "1; transmitter command; wait 3; = latched remote_stop, parked",
     "moved twice soon after a stop, which says nothing about its brake": "driving 0.5; ask disengage; wait 4; "
     + f"{REMOTE.format(0.8)}; wait 2; transmitter command; wait 5; " * 2
     + "= event stop found_moving, latched",
@@ -421,9 +411,8 @@ BUMPERS: dict[str, str] = {
     # Contact bounce of an acknowledged bumper latches nothing new, and a later hit does.
     **{
         f"bounces by {chatter_ms} ms": f"{AT_BUMPER.format('front')}; bounce {chatter_ms}; drive -0.3 0 2; = "
-        "latched, "
-        "engaged, faster 0.2; whole; bumper front off; drive -0.3 0 0.4; = latched; bumper front on for 50ms; "
-        "drive -0.3 0 0.1; = latched front_bumper"
+        "latched, engaged, faster 0.2; whole; bumper front off; drive -0.3 0 0.4; = latched; bumper front on for "
+        "50ms; drive -0.3 0 0.1; = latched front_bumper"
         for chatter_ms in (20, 40, 80)
     },
     # Both indicators go on in place of off; any other stop puts the lamps out.
@@ -442,37 +431,32 @@ BUMPERS: dict[str, str] = {
     "lamps after a stop of the guard's": "ready; note late; reply acquire none; wait 1; reply reset none; shine; "
     "engage; = lamps",
     **{
-        f"{side}, at {speed_mps} m/s": f"driving {speed_mps}; bumper {side} on for 50ms; "
-        f"drive {speed_mps} 0 0.04; "
-        f"= stopping; drive {speed_mps} 0 4; = rests, latched {hit}; reply engage {hit}; tick 40; "
-        "reply reset none; "
-        "= latched"
+        f"{side}, at {speed_mps} m/s": f"driving {speed_mps}; bumper {side} on for 50ms; drive {speed_mps} 0 "
+        f"0.04; = stopping; drive {speed_mps} 0 4; = rests, latched {hit}; reply engage {hit}; tick 40; reply "
+        "reset none; = latched"
         for (side, hit), speed_mps in product(
             {"front": "front_bumper", "rear": "rear_bumper", "both": "front_bumper rear_bumper"}.items(), (1, -1)
         )
     },
     # From the hit to rest, whenever it comes between two body frames.
     **{
-        f"hit at {speed_mps} m/s, {phase} ticks later": f"driving {speed_mps}; tick {phase}; mark; "
-        "bumper front on; "
-        f"drive {speed_mps} 0 4; = rests, way {way_m} {way_m - 0.04}"
+        f"hit at {speed_mps} m/s, {phase} ticks later": f"driving {speed_mps}; tick {phase}; mark; bumper front "
+        f"on; drive {speed_mps} 0 4; = rests, way {way_m} {way_m - 0.04}"
         for (speed_mps, way_m), phase in product(((0.48, 0.14), (1.0, 0.41), (2.2, 1.56)), (0, 1))
     },
     # After a deliberate reset only motion away from the hit side until it is clear; then a hit is new.
     **{
-        f"{side} is reset": f"{AT_BUMPER.format(side)}; drive {toward} 0 1; = rests, bound bumper; "
-        f"drive {-toward} 0 2; = moves {-toward}, engaged; bumper {side} off; drive {toward} 0 3; "
-        f"= moves {toward}; "
+        f"{side} is reset": f"{AT_BUMPER.format(side)}; drive {toward} 0 1; = rests, bound bumper; drive "
+        f"{-toward} 0 2; = moves {-toward}, engaged; bumper {side} off; drive {toward} 0 3; = moves {toward}; "
         f"bumper {side} on; drive {toward} 0 0.06; = stopping"
         for side, toward in (("front", 0.5), ("rear", -0.5))
     },
-    "the other one while it backs off": f"{AT_BUMPER.format('front')}; drive -0.5 0 2; bumper rear on; "
-    "drive -0.5 0 0.06; = latched rear_bumper, stopping",
-    "both are reset: no way is away": f"{AT_BUMPER.format('both')}; drive 0.5 0 1; = rests; drive -0.5 0 1; "
-    "= rests",
-    "latched standing by: nothing is sent": "ready; mark; bumper front on; wait 1; = latched front_bumper; "
-    "wait 1; "
-    "= silent",
+    "the other one while it backs off": f"{AT_BUMPER.format('front')}; drive -0.5 0 2; bumper rear on; drive "
+    "-0.5 0 0.06; = latched rear_bumper, stopping",
+    "both are reset: no way is away": f"{AT_BUMPER.format('both')}; drive 0.5 0 1; = rests; drive -0.5 0 1; = "
+    "rests",
+    "latched standing by: nothing is sent": "ready; mark; bumper front on; wait 1; = latched front_bumper; wait "
+    "1; = silent",
 }
 
 
@@ -485,43 +469,37 @@ def test_a_bumper_that_is_hit(row: str) -> None:
 LOOP: dict[str, str] = {
     # Told some speed and still standing, a pause must not skip the order.
     "a late stop at the very start of motion": "ready; engage; drive 1 0 0.3; driven 1 unbelow 0.01; lag 150; "
-    "tick 1; "
-    "lag 0; = gear drive, for loop_late",
+    "tick 1; lag 0; = gear drive, for loop_late",
     # By the time that has passed, not by the number of ticks.
     **{
         f"a loop that is late by {late_ms} ms each time": f"driving 2; lag {late_ms}; mark; drive 0 0 3; = rests, "
         "way 2.47"
         for late_ms in (0, 30, 60)
     },
-    "the guard's words are in the events and in the latch": "driving 1; "
-    "links guard_sends:1 guard_stops:1 guard_says:a_cause; drive 1; "
-    f"text guard nothing is sent any more: {TEXTS[Reason.GUARD].means}| a cause; text latch a cause; "
-    "links guard_stops:1 guard_says:a_cause,_the_robot_stands; tick 1; "
-    "text guard the guard's stop has ended: a cause, the robot stands",
-    "a stop of the guard's before the start": "new; note yesterday; wait 0.6; text latch | yesterday; "
-    "reply acquire none; reply engage guard; reply reset none; engage",
+    "the guard's words are in the events and in the latch": "driving 1; links guard_sends:1 guard_stops:1 "
+    f"guard_says:a_cause; drive 1; text guard nothing is sent any more: {TEXTS[Reason.GUARD].means}| a cause; "
+    "text latch a cause; links guard_stops:1 guard_says:a_cause,_the_robot_stands; tick 1; text guard the "
+    "guard's stop has ended: a cause, the robot stands",
+    "a stop of the guard's before the start": "new; note yesterday; wait 0.6; text latch | yesterday; reply "
+    "acquire none; reply engage guard; reply reset none; engage",
     # Read before it is known that the guard acted: what was left is stopped at once, not when it moves.
-    "the guard's frames are not taken for another computer's": "driving 1; echo; links guard_stops:1; tick 3; "
-    "= events stop found_moving, unblocked other_commander",
+    "the guard's frames are not taken for another computer's": "driving 1; echo; links guard_stops:1; tick 3; = "
+    "events stop found_moving, unblocked other_commander",
     # What the gate refuses: in its place zero speed and the brake, in gear; later where the bus is full.
     "the gate refuses a burst": "driving 1; refuse 1; once 1; = latched gate, stopping, unmute, told 0, gear "
-    "drive, "
-    "parking; tick 1; text latch 18C4D3D0: because; wait 6; = rests, standby",
+    "drive, parking; tick 1; text latch 18C4D3D0: because; wait 6; = rests, standby",
     "the gate refuses a burst, and the bus is full": "driving 1; refuse 1; takes 0; once 1; = latched gate, "
-    "stopping, "
-    "unmute; takes all; tick 1; = told 0, gear drive, parking; wait 6; = rests, standby",
+    "stopping, unmute; takes all; tick 1; = told 0, gear drive, parking; wait 6; = rests, standby",
     # Where it refuses the brake too, nothing goes out, and the guard is told; what it admits later goes out.
     "the gate refuses all": "driving 1; mark; refuse 10; tick 5; = mute, silent, stopping; tick 1; = unmute, "
-    "frames 6; "
-    "wait 6; = rests, standby",
-    "a counter that does not go on": "driving 1; slip; tick 1; = latched gate; tick 1; "
-    "text latch 18C4D3D0: the alive counter does not follow the last one",
-    "who has nothing to say is not mute": "driving 1; refuse 6; tick 3; = mute; transmitter remote; "
-    f"tick {3 + YIELD_BURSTS}; = standby, unmute",
+    "frames 6; wait 6; = rests, standby",
+    "a counter that does not go on": "driving 1; slip; tick 1; = latched gate; tick 1; text latch 18C4D3D0: the "
+    "alive counter does not follow the last one",
+    "who has nothing to say is not mute": "driving 1; refuse 6; tick 3; = mute; transmitter remote; tick "
+    f"{3 + YIELD_BURSTS}; = standby, unmute",
     # Until the way to the bus is back, so that the guard acts at once; standing by, nothing is left to anybody.
     "cut off from a chassis that obeys": "driving 1; links bus_up:0 bus_losses:1; tick 1; = standby, mute; tick "
-    "1; "
-    "= mute; links bus_losses:1; tick 1; = unmute; wait 10; = standby; links bus_up:0 bus_losses:2; tick 1; = "
+    "1; = mute; links bus_losses:1; tick 1; = unmute; wait 10; = standby; links bus_up:0 bus_losses:2; tick 1; = "
     "unmute",
     # Not a drive that it does not take: that becomes a stop first. What it takes again ends it.
     **{
@@ -545,16 +523,14 @@ LOOP: dict[str, str] = {
     },
     # The loop stood still meanwhile.
     **{
-        f"a stop of the guard's that was not seen, {begin}": f"{begin}; links guard_stops:1; tick 2; "
-        "= latched guard; "
-        "wait 6; reply acquire none; reply reset none; = latched"
+        f"a stop of the guard's that was not seen, {begin}": f"{begin}; links guard_stops:1; tick 2; = latched "
+        "guard; wait 6; reply acquire none; reply reset none; = latched"
         for begin in ("driving 1", "ready")
     },
     # The lower of the two limits, said before it is engaged.
     **{
-        f"{lacks}": f"ready unguarded; links {lacks}; wait 0.2; = limit 1.0; engage; = limit 1.0; drive 2 0 3; "
-        "= told 1; "
-        "drive 0 0 2; reply disengage none; rest; engage speed_limit_mps:0.4; = limit 0.4"
+        f"{lacks}": f"ready unguarded; links {lacks}; wait 0.2; = limit 1.0; engage; = limit 1.0; drive 2 0 3; = "
+        "told 1; drive 0 0 2; reply disengage none; rest; engage speed_limit_mps:0.4; = limit 0.4"
         for lacks in ("realtime:0", "guarded:0")
     },
     "no real-time priority any more, and then again": "driving 2; links realtime:0; drive 2 0 0.2; = limit 1.0, "
@@ -571,8 +547,8 @@ def test_a_loop_that_is_late_or_alone(row: str) -> None:
 
 
 DRIVEN: dict[str, str] = {
-    "limits are said while it is engaged alone": "driving 0.5; once 9; = bound speed acceleration; drive 9 0 0.1; "
-    "stop; once 9; = bound",
+    "limits are said while it is engaged alone": "driving 0.5; once 9; = bound speed acceleration; drive 9 0 "
+    "0.1; stop; once 9; = bound",
     # The greatest accelerations, at the greatest speeds and angles: no frame that does not fit.
     **{
         f"the hardest settings, {variant}": f"ready variant:{variant} acceleration_mps2:1.5 deceleration_mps2:2 "
@@ -593,9 +569,8 @@ DRIVEN: dict[str, str] = {
     },
     # A robot that gathers speed slowly does not stand.
     **{
-        f"motor {strength}, {slope_deg} deg, {payload_kg} kg": f"ready; engage; motor {strength}; "
-        f"slope {slope_deg}; "
-        f"payload {payload_kg}; drive 1 0 5; drive 0 0 3; = engaged, latched"
+        f"motor {strength}, {slope_deg} deg, {payload_kg} kg": f"ready; engage; motor {strength}; slope "
+        f"{slope_deg}; payload {payload_kg}; drive 1 0 5; drive 0 0 3; = engaged, latched"
         for strength, slope_deg, payload_kg in (
             (0.3, 5, 0),
             (0.5, 5, 100),
@@ -605,8 +580,7 @@ DRIVEN: dict[str, str] = {
         )
     },
     "it stands": "driving 0.5; drive 0 0 1.2; = moves 0, gear drive, unparking; drive 0 0 1; = gear drive, "
-    "parking; "
-    "drive -0.5 0 2; = moves -0.5",
+    "parking; drive -0.5 0 2; = moves -0.5",
 }
 
 
@@ -632,9 +606,8 @@ FOUND = {
     },
     # By wheels of unknown scale: neither of the others comes.
     **{
-        f"{speed_mps} m/s by {variant} wheels": f"driving {speed_mps} variant:{variant}; succeed; "
-        "silence Auto_DriveFeedBack; silence Auto_WheelPulseFeedback; wait 0.4; = event stop found_moving; rest; "
-        "= rests"
+        f"{speed_mps} m/s by {variant} wheels": f"driving {speed_mps} variant:{variant}; succeed; silence "
+        "Auto_DriveFeedBack; silence Auto_WheelPulseFeedback; wait 0.4; = event stop found_moving; rest; = rests"
         for speed_mps, variant in product((0.2, -2.0), ("coarse", "fine"))
     },
 }
@@ -725,9 +698,8 @@ def test_a_stalled_stream_is_refused_although_the_robot_is_engaged_again(stall_s
 
 
 STOPPED = {
-    f"{name}, {payload or 'empty'}": f"driving 1.5; send stop {name} {payload}; drive 1.5; = stopping; mark; "
-    "wait 0.5; "
-    "= slower 1; rest; = in_order, latched remote_stop; reply acquire none; reply engage remote_stop"
+    f"{name}, {payload or 'empty'}": f"driving 1.5; send stop {name} {payload}; drive 1.5; = stopping; mark; wait "
+    "0.5; = slower 1; rest; = in_order, latched remote_stop; reply acquire none; reply engage remote_stop"
     for name, payload in product(("first", "anyone", "-"), ("", "c1" * 1000, "81a56c65617365ff"))
 }
 
@@ -765,8 +737,8 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
 ) -> None:
     """The motor holds it in gear, the parking brake after a second; where the motor cannot, the brake at once."""
     play(
-        f"hill {slope_deg} payload_kg:{kg} pedal_gain:{pedal}; drive {speed_mps} 0 2; mark; drive 0 0 4; "
-        f"= back {RELEASE_MAX_M} {2 * speed_mps}, rests, parked"
+        f"hill {slope_deg} payload_kg:{kg} pedal_gain:{pedal}; drive {speed_mps} 0 2; mark; drive 0 0 4; = back "
+        f"{RELEASE_MAX_M} {2 * speed_mps}, rests, parked"
     )
 
 
@@ -777,16 +749,15 @@ def test_a_stop_on_a_slope_ends_parked(slope_deg: float, kg: float, does: str, d
     A brake that applies at once hides what holds the robot until it does.
     """
     play(
-        f"hill {slope_deg} payload_kg:{kg} parking_delay_s:{delay_s}; drive 0.5 0 2.5; mark; {does}; wait 8; "
-        f"= back {STOP_MAX_M}, rests, parked, standby, held"
+        f"hill {slope_deg} payload_kg:{kg} parking_delay_s:{delay_s}; drive 0.5 0 2.5; mark; {does}; wait 8; = "
+        f"back {STOP_MAX_M}, rests, parked, standby, held"
     )
 
 
 DIES = {
     f"{variant} at {speed_mps} m/s, {phase} ticks later": f"hill {-20 if speed_mps > 0 else 20} fast "
-    f"variant:{variant}; "
-    f"drive {speed_mps} 0 4; tick {phase}; mark; motor 0; drive {speed_mps} 0 3; = way {most_m}, "
-    "first overspeed implausible_speed, parks_as_it_stops"
+    f"variant:{variant}; drive {speed_mps} 0 4; tick {phase}; mark; motor 0; drive {speed_mps} 0 3; = way "
+    f"{most_m}, first overspeed implausible_speed, parks_as_it_stops"
     for variant, (speed_mps, most_m), phase in product(
         ("coarse", "fine"), ((2.0, 1.8), (1.0, 1.0), (-2.0, 1.8), (-1.0, 1.0)), range(5)
     )
@@ -812,8 +783,8 @@ def test_a_motor_that_dies_downhill_is_replaced_by_the_parking_brake(row: str) -
 ROLLS = {
     # Against the commanded direction for 100 ms: then the parking brake, latched, an event.
     **{
-        f"uphill at {slope_deg} deg": f"hill {slope_deg}; drive 0.5 0 2; mark; motor 0; drive 0.5 0 3; "
-        f"= back {STOP_MAX_M}, rests, has rolling, event stop rolling"
+        f"uphill at {slope_deg} deg": f"hill {slope_deg}; drive 0.5 0 2; mark; motor 0; drive 0.5 0 3; = back "
+        f"{STOP_MAX_M}, rests, has rolling, event stop rolling"
         for slope_deg in (8.0, 15.0, 20.0)
     },
     # Be the ramp that begins as slow as it may: a bit is 0.04 m/s.
@@ -834,8 +805,8 @@ def test_a_motor_that_dies_is_noticed_by_the_wheels(row: str) -> None:
 STARTS = {
     # The brake is released in gear, and the ramp waits for the feedback that says so.
     **{
-        f"at {slope_deg} deg": f"hill {slope_deg}; mark; drive 0.5 0 2; drive 0 0 2; = parked; drive 0.5 0 2; "
-        "= faster 0.4, back 0.01"
+        f"at {slope_deg} deg": f"hill {slope_deg}; mark; drive 0.5 0 2; drive 0 0 2; = parked; drive 0.5 0 2; = "
+        "faster 0.4, back 0.01"
         for slope_deg in (8.0, 20.0)
     },
     # The gear is changed behind the parking brake.
@@ -857,9 +828,9 @@ BY_MOTOR = "rests, phase motor, way"
 SLIPS: dict[str, str] = {
     # Auto-hold hands it over, and takes it back; the latch is an error, and no reset lets it go.
     **{
-        f"held at {slope_deg} deg with grip {grip}": f"hill {slope_deg}; drive 0.5 0 2; brake {grip}; "
-        f"drive 0 0 1; mark; drive 0 0 5; = {BY_MOTOR} 0.3, first brake_slips, error latch brake_slips; "
-        "reply reset stopping; wait 30; = way 0.3"
+        f"held at {slope_deg} deg with grip {grip}": f"hill {slope_deg}; drive 0.5 0 2; brake {grip}; drive 0 0 "
+        f"1; mark; drive 0 0 5; = {BY_MOTOR} 0.3, first brake_slips, error latch brake_slips; reply reset "
+        "stopping; wait 30; = way 0.3"
         for slope_deg, grip in product(STEEP, (0.0, 0.2, 0.45))
     },
     # It would roll away behind a brake that reads applied, and cuts the motor off.
@@ -880,32 +851,30 @@ SLIPS: dict[str, str] = {
     },
     # Who sees it creep and presses STOP must not let it roll away.
     **{
-        f"{asked} {after_ms} ms later": "hill -20; drive 0.5 0 2; brake 0.2; parks 0; mark; "
-        f"drive 0 0 {after_ms / 1e3}; {asked}; wait 6; = {BY_MOTOR} 0.3"
+        f"{asked} {after_ms} ms later": "hill -20; drive 0.5 0 2; brake 0.2; parks 0; mark; drive 0 0 "
+        f"{after_ms / 1e3}; {asked}; wait 6; = {BY_MOTOR} 0.3"
         for asked, after_ms in product(("ask stop", "ask disengage", "drive -0.5 0 2"), (60, 100, 140, 180))
     },
     # The brake is applied to change the gear, before the robot has stood for a second.
     **{
         f"a reversal at {slope_deg} deg, delay {delay_s} s": f"hill {slope_deg} parking_delay_s:{delay_s}; drive "
-        "0.5 0 2; "
-        f"brake 0.2; drive 0 0 0.7; mark; drive -0.5 0 2; wait 4; = {BY_MOTOR} 0.3"
+        f"0.5 0 2; brake 0.2; drive 0 0 0.7; mark; drive -0.5 0 2; wait 4; = {BY_MOTOR} 0.3"
         for slope_deg, delay_s in product(STEEP, (0.05, 0.15))
     },
     # The motor held it until the gear went. A brake that is slow to open has to open first: it becomes faster.
     **{
         f"in neutral at {slope_deg} deg, grip {grip}, delay {delay_s} s": f"hill {slope_deg} "
-        f"parking_delay_s:{delay_s}; "
-        f"drive 0.5 0 2; neutral -0.5; brake {grip}; mark; drive -0.5 0 2; wait 4; = {BY_MOTOR} {most_m}"
+        f"parking_delay_s:{delay_s}; drive 0.5 0 2; neutral -0.5; brake {grip}; mark; drive -0.5 0 2; wait 4; = "
+        f"{BY_MOTOR} {most_m}"
         for slope_deg, (grip, delay_s, most_m) in product(
             STEEP, ((0.0, 0.05, STOP_MAX_M), (0.0, 0.15, 0.5), (0.2, 0.15, 0.3))
         )
     },
     # The stick releases the brake, and the robot that rolls back is not given to it again.
     **{
-        f"driven on at {slope_deg} deg with grip {grip}, {after_ms} ms later": f"hill {slope_deg}; drive "
-        f"{up_mps} 0 2; "
-        f"brake {grip}; parks 0; mark; drive 0 0 {after_ms / 1e3}; drive {up_mps} 0 2; wait 6; "
-        f"= back {STOP_MAX_M} {2 * up_mps}, rests, phase motor"
+        f"driven on at {slope_deg} deg with grip {grip}, {after_ms} ms later": f"hill {slope_deg}; drive {up_mps} "
+        f"0 2; brake {grip}; parks 0; mark; drive 0 0 {after_ms / 1e3}; drive {up_mps} 0 2; wait 6; = back "
+        f"{STOP_MAX_M} {2 * up_mps}, rests, phase motor"
         for (slope_deg, up_mps), grip, after_ms in product(((-20, -0.5), (20, 0.5)), (0.0, 0.2), (20, 100, 180))
     },
     # Nothing shows that this brake does not hold: it is asked for, and keeps a robot that is pushed.
@@ -913,8 +882,8 @@ SLIPS: dict[str, str] = {
     + "adopt 0.3; drive -0.5 0 0.02; " * 8
     + "drive -0.5 0 1; = rests, latched rolling, parked",
     # The motor has it since, so a brake that is asked for at speed is not let go of again.
-    "driven on downhill by a weak motor": "hill -14; drive 0.5 0 2; brake 0.1; parks 0; drive 0 0 0.08; "
-    "motor 0.3; drive 0.5 0 2.5; = has implausible_speed, unhas brake_slips",
+    "driven on downhill by a weak motor": "hill -14; drive 0.5 0 2; brake 0.1; parks 0; drive 0 0 0.08; motor "
+    "0.3; drive 0.5 0 2.5; = has implausible_speed, unhas brake_slips",
 }
 
 
@@ -930,12 +899,12 @@ COASTS: dict[str, str] = {
         "parked, mode stop"
         for slope_deg in (-20.0, -8.0, 0.0)
     },
-    "after a takeover, having forgotten what it was told": "hill -8; drive 0.5 0 2; transmitter remote; "
-    "sticks 0.5 0; wait 1; forget; transmitter command; wait 5; = rests, parked",
+    "after a takeover, having forgotten what it was told": "hill -8; drive 0.5 0 2; transmitter remote; sticks "
+    "0.5 0; wait 1; forget; transmitter command; wait 5; = rests, parked",
     # Nothing ever resumes by itself, also where another node switches lamps: they command no motion.
     **{
-        f"given back, {meanwhile}": "driving 2; transmitter remote; drive 2 0 0.2; wait 3; "
-        f"{meanwhile}; wait 0.5; mark; transmitter command; wait 5; = way 0.05, parked"
+        f"given back, {meanwhile}": f"driving 2; transmitter remote; drive 2 0 0.2; wait 3; {meanwhile}; wait "
+        "0.5; mark; transmitter command; wait 5; = way 0.05, parked"
         for meanwhile in ("wait 0", "foreign 18C4D7D0 every 50ms")
     },
 }

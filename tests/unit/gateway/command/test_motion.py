@@ -102,8 +102,8 @@ SETS_OFF = {
     "parked before any speed is asked for": "new; tick 0 500; = enabled, gear neutral, parking, told 0, angle 0",
     **{
         f"by gear, brake and ramp to {mps}": f"new; tick {mps}; = gear {gear}, parking, told 0, bounds gear; "
-        f"until {mps} unparking; = gear {gear}, told 0, bounds parking; tick {mps}; = told {0.016 * mps}; "
-        f"tick {mps} 61; = told {0.992 * mps}; tick {mps}; = told {mps}, bounds"
+        f"until {mps} unparking; = gear {gear}, told 0, bounds parking; tick {mps}; = told {0.016 * mps}; tick "
+        f"{mps} 61; = told {0.992 * mps}; tick {mps}; = told {mps}, bounds"
         for mps, gear in ((0.5, "drive"), (-0.5, "reverse"))
     },
     **{
@@ -145,15 +145,14 @@ GEARS = {
     # In gear, and no speed against it.
     **{
         f"parked, and it stands is {stands}": f"going 1; set parked:true stands:{stands}; tick 0; = told 0, gear "
-        "drive, "
-        "parking; tick 1 50; = told 0, gear drive, parking, bounds parking"
+        "drive, parking; tick 1 50; = told 0, gear drive, parking, bounds parking"
         for stands in ("true", "false")
     },
     # Only motion away from the hit side.
     **{
         f"{side} is hit": f"new; set {forbidden}:false; tick {toward} 200; = told 0, bounds bumper; tick "
-        f"{-toward} 300; "
-        f"= told {-toward}, bounds gear parking acceleration; tick 0 300; = told 0, bounds deceleration"
+        f"{-toward} 300; = told {-toward}, bounds gear parking acceleration; tick 0 300; = told 0, bounds "
+        "deceleration"
         for side, forbidden, toward in (("front", "forward", 1), ("rear", "backward", -1))
     },
 }
@@ -173,8 +172,8 @@ def test_reversal_goes_through_standstill_behind_the_parking_brake(
     robot = Robot(f"going {sign}")
     robot.play(
         f"set stands:false; tick {-sign} 200; = told 0, gear {before.value}, unparking, bounds reversal "
-        "deceleration; "
-        f"set stands:true brake:released; tick {-sign} 50; = gear {before.value}, parking; set brake:null"
+        f"deceleration; set stands:true brake:released; tick {-sign} 50; = gear {before.value}, parking; set "
+        "brake:null"
     )
     steps = []
     for _ in range(35):
@@ -198,8 +197,7 @@ BOUND = {
         )
     },
     "to other speeds": "going 1; tick 2; = told 1.008, bounds acceleration; tick 0.5; = told 0.996, bounds "
-    "deceleration; "
-    "tick 1 10; tick 1.0079; = told 1.0079, bounds",
+    "deceleration; tick 1 10; tick 1.0079; = told 1.0079, bounds",
     # It rises to the greatest seen speed and 0.5 m/s; above that it is held, and never cut.
     **{
         f"seen at {seen_mps} m/s": f"going 1; set speed_mps:{seen_mps}; tick 1.5 100; = told {told_mps}, "
@@ -212,16 +210,15 @@ BOUND = {
     },
     # 60 deg/s is 0.6 deg in a tick, to either side; a step of just that is not bound.
     "the steering rate": "new; tick 0 1 10; = angle 0.6, bounds steering_rate; tick 0 1 -10; = angle 0; tick 0 1 "
-    "0.6; "
-    "= angle 0.6, bounds",
+    "0.6; = angle 0.6, bounds",
     # The speed is reduced, and not the steering.
     "in a bend": f"new; tick 2 500 24; = angle 24, told {LATERAL_MPS}, bound lateral_acceleration",
 }
 MEASURED = {
     "turned further": f"going 2.2; set angle_deg:-24; tick 2.2 100; = told {LATERAL_MPS}, bound "
     "lateral_acceleration",
-    "faster": f"going 1; set speed_mps:2.2; tick 1 100 24; = angle {LIMITS.angle_at(2.2, L_M)}, "
-    "bound lateral_acceleration; set speed_mps:null; tick 1 100 24; = angle 24",
+    "faster": f"going 1; set speed_mps:2.2; tick 1 100 24; = angle {LIMITS.angle_at(2.2, L_M)}, bound "
+    "lateral_acceleration; set speed_mps:null; tick 1 100 24; = angle 24",
 }
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from itertools import product
 from math import radians, tan
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,13 +15,7 @@ from gateway.chassis.port import Actuation, AuxiliaryFrame, ChassisState
 from gateway.choice import CHASSIS
 from gateway.command.auxiliary import Auxiliary
 from gateway.command.motion import MotionLimits
-from gateway.command.output import (
-    Handover,
-    inferred_actuation,
-    inferred_angle_deg,
-    may_be_stopped,
-    may_obey,
-)
+from gateway.command.output import Handover, inferred_actuation, inferred_angle_deg
 from gateway.command.stop import StopFeedback, StopSequence
 from schemas.decisions import StopPhase
 from schemas.messages import GearPosition, Mode
@@ -161,8 +154,8 @@ RAMP = {
     "the whole": "1 drive; obeys 10000; = lasted ramp:490 brake:10 park:10 hold:1000 disable:500, gears drive, "
     "phase idle, unenabled, gear neutral, parking",
     **{
-        f"{gear} by {by}": f"1 {gear} @{by}; obeys 10; = told {1 - by / 100}, gear {gear}; obeys 10; "
-        f"= told {1 - 2 * by / 100}; obeys {ms}; = phase ramp, unparking, gear {gear}; obeys 20; = unphase ramp"
+        f"{gear} by {by}": f"1 {gear} @{by}; obeys 10; = told {1 - by / 100}, gear {gear}; obeys 10; = told "
+        f"{1 - 2 * by / 100}; obeys {ms}; = phase ramp, unparking, gear {gear}; obeys 20; = unphase ramp"
         for (by, ms), gear in product(((1.2, 800), (2.0, 470)), ("drive", "reverse"))
     },
     # Where the scale is in doubt.
@@ -173,8 +166,8 @@ RAMP = {
     "after a pause": "1 drive; pause 5000; moving 0.9 10; = told 0.8",
     "never cut higher": "1 drive; cut 5; obeys 10; = told 0.98; cut 0.5; obeys 10; = told 0.48, phase ramp",
     # Zero speed before the parking brake, and that before neutral: one phase a tick, however late it is.
-    "each phase is told also after a pause": "1 drive @inf; held 10; = told 0, unparking; pause 5000; held 10; "
-    "= parking, gear drive; pause 5000; held 10; = parking, gear drive; pause 5000; held 10; = parking, gear "
+    "each phase is told also after a pause": "1 drive @inf; held 10; = told 0, unparking; pause 5000; held 10; = "
+    "parking, gear drive; pause 5000; held 10; = parking, gear drive; pause 5000; held 10; = parking, gear "
     "neutral",
 }
 
@@ -186,19 +179,18 @@ def test_the_whole_sequence(row: str) -> None:
 
 
 BRAKE = {
-    "not while it only lags behind the ramp": "1 drive; slowing 1 0.8333 1200; = unparking; stands 10; = parking, "
-    "gear drive",
+    "not while it only lags behind the ramp": "1 drive; slowing 1 0.8333 1200; = unparking; stands 10; = "
+    "parking, gear drive",
     # By more than the standstill bound, at any told speed.
     **{
-        f"at once against {gear}, told {mps}": f"{mps} {gear}; moving 0.05 10 {back}; = unparking; "
-        f"moving 0.051 10 {back}; = parking, told 0, gear {gear}"
+        f"at once against {gear}, told {mps}": f"{mps} {gear}; moving 0.05 10 {back}; = unparking; moving 0.051 "
+        f"10 {back}; = parking, told 0, gear {gear}"
         for (gear, back), mps in product((("drive", "back"), ("reverse", "")), (1, 0))
     },
     # In gear meanwhile, also when nothing can be seen; at zero speed what cannot be seen at all is not waited for.
     **{
-        f"after 300 ms of {seen}, told {mps}": f"{mps} drive @1.2; {seen} 300; = unparking; {seen} 10; = "
-        "parking, told 0, "
-        "gear drive"
+        f"after 300 ms of {seen}, told {mps}": f"{mps} drive @1.2; {seen} 300; = unparking; {seen} 10; = parking, "
+        "told 0, gear drive"
         for seen, mps in product(("moving 1", "moving 0.06", "blind"), (1, 0))
         if mps or seen != "blind"
     },
@@ -219,8 +211,7 @@ BRAKE = {
     },
     # Later nothing begins again.
     "asked for at any speed": "1 drive; obeys 50; park; moving 0.9 10; = parking, told 0, gear drive; held 500; "
-    "park; "
-    "= phase hold",
+    "park; = phase hold",
     "it never reads applied": "1 drive; opens 510; = phase park; stands 2980; = unlacking; stands 10; = lacking; "
     "stands 60000; = phase park, gear drive, parking, enabled; held 10; = unlacking",
     # It is waited for, 3 s; then the rest comes all the same, in gear.
@@ -242,15 +233,13 @@ HOLDS = {
     "held 990; = enabled; held 10; = unenabled",
     # Disabled frames may release the brake of some firmware; after the second return the enables stay.
     "the enables hold it": "1 drive; until disable; = unstays; moving 0.1 10; = phase park, enabled, parking, "
-    "returns 1; "
-    "until disable; = unstays; moving 0.1 10; = returns 2, stays; held 4990; = unsecure; held 60000; = phase "
-    "hold, "
-    "enabled, gear drive, secure; finish; held 1000; = phase idle",
+    "returns 1; until disable; = unstays; moving 0.1 10; = returns 2, stays; held 4990; = unsecure; held 60000; "
+    "= phase hold, enabled, gear drive, secure; finish; held 1000; = phase idle",
     # Faster 300 ms later: brake again, for good.
     **{
         f"its motor, later {seen}": "0 drive parking; release; moving 0.2 300; = enabled, gear drive, told 0, "
-        "unparking; "
-        f"{seen} 10000{flag}; = {un}parking, stays; moving 0.4 10000 braked; = parking; held 60000; = enabled"
+        f"unparking; {seen} 10000{flag}; = {un}parking, stays; moving 0.4 10000 braked; = parking; held 60000; = "
+        "enabled"
         for seen, flag, un in (("moving 0.3", " braked", ""), ("moving 0.1", " braked", "un"), ("held", "", "un"))
     },
     # Seen by the pulses alone it is faster. A robot of which nothing is received is not.
@@ -261,18 +250,16 @@ HOLDS = {
     "noise": f"0 drive parking; release; moving 0 310; {NOISE}= unparking; moving 0.081 10; = parking",
     # In the midst of a change of direction the gear comes behind the brake, and a tick later its motor has it.
     **{
-        f"in neutral, rolling to {gear}": "0 neutral parking may_release stood_by_motor; held 30; "
-        f"moving 0.2 100 braked {back}; = parking, gear neutral; moving 0.2 10 braked {back}; = parking, gear "
-        f"{gear}; "
-        f"moving 0.2 10 braked {back}; = unparking, gear {gear}"
+        f"in neutral, rolling to {gear}": "0 neutral parking may_release stood_by_motor; held 30; moving 0.2 100 "
+        f"braked {back}; = parking, gear neutral; moving 0.2 10 braked {back}; = parking, gear {gear}; moving 0.2 "
+        f"10 braked {back}; = unparking, gear {gear}"
         for back, gear in (("back", "reverse"), ("", "drive"))
     },
     # Once, if the motor brought it to rest; one that slows down is held by its brake.
     **{
         f"given back to the motor that stopped it, {flag or 'not'}": f"1 drive {flag}; obeys 1000; = phase hold; "
         "moving 0.3 50 braked; = parking; moving 0.1 60 braked; = parking; held 200; moving 0.1 100 braked; = "
-        "parking; "
-        f"moving 0.1 20 braked; = {un}parking, {un2}stays"
+        f"parking; moving 0.1 20 braked; = {un}parking, {un2}stays"
         for flag, un, un2 in (("may_release", "un", ""), ("", "", "un"))
     },
     "not seen to stand by its motor": "1 drive may_release; blind 1000; moving 0.1 1000 braked; = parking",
@@ -341,108 +328,27 @@ def test_nothing_is_ever_taken_back_in_a_stop(
     assert before.parking, "within 300 ms of any robot that does not slow down"
 
 
-# Handover.
+# Handover. When the output ceases, and what may be obeyed after that, are rows of test_arbiter.
 
-AUTO = ChassisState(bus_up=True, mode=Mode.AUTO, bus_losses=3, guard_stops=2)
-TOLD = doing(1.0)
+AUTO = ChassisState(bus_up=True, mode=Mode.AUTO)
 NOW_NS = 7_000_000_000
-
-
-def but(words: str) -> ChassisState:
-    """A chassis in auto, but for this."""
-    return seen(AUTO, tuple(words.split()))
-
-
-def commanding() -> Handover:
-    """We tell the chassis something."""
-    handover = Handover()
-    handover.begin(AUTO)
-    return handover
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ("", Reason.NONE),
-        ("mode:undefined", Reason.NONE),
-        ("guard_sends:true", Reason.GUARD),
-        ("guard_stops:3", Reason.GUARD),
-        ("guard_stops:3 bus_up:false mode:remote", Reason.GUARD),
-        ("bus_up:false", Reason.BUS_DOWN),
-        ("bus_losses:4", Reason.BUS_DOWN),
-        ("bus_losses:4 mode:remote", Reason.BUS_DOWN),
-        ("mode:remote", Reason.HAND_TRANSMITTER),
-        ("mode:stop", Reason.MODE_NOT_AUTO),
-    ],
-)
-def test_what_ends_the_output(words: str, reason: Reason) -> None:
-    """The gravest first; losses and stops of before we began are none. What was never auto has not left it."""
-    handover = commanding()
-    assert handover.reason_to_yield(but("mode:stop")) is Reason.NONE
-    assert handover.reason_to_yield(AUTO) is Reason.NONE
-    assert handover.reason_to_yield(but(words)) is reason
-    handover.begin(AUTO)
-    assert handover.reason_to_yield(but("mode:stop")) is Reason.NONE
-
-
-@pytest.mark.parametrize(
-    ("reason", "bus_up", "cut_off"),
-    [
-        (Reason.BUS_DOWN, False, True),
-        (Reason.BUS_DOWN, True, False),
-        (Reason.GUARD, False, False),
-        (Reason.HAND_TRANSMITTER, True, False),
-    ],
-)
-def test_who_has_no_way_to_the_bus_is_cut_off(reason: Reason, bus_up: bool, cut_off: bool) -> None:  # noqa: FBT001
-    """And only while it is away: a bus that was lost and is back is a way."""
-    handover = commanding()
-    assert handover.left != TOLD
-    handover.leave(TOLD, reason, msgspec.structs.replace(AUTO, bus_up=bus_up), NOW_NS)
-    assert handover.left == TOLD
-    assert handover.is_cut_off is cut_off
-
-
-@pytest.mark.parametrize(
-    ("words", "obeyed", "stopped"),
-    [
-        ("", True, True),
-        ("mode:undefined", True, True),
-        ("mode:stop", False, False),
-        ("mode:stop pulses:-1", False, True),
-        ("mode:stop fastest_wheel_mps:0.1", False, True),
-        ("mode:stop turns:true", False, True),
-        ("mode:stop pulses:1 bus_up:false", False, False),
-        ("mode:stop pulses:1 guard_sends:true", False, False),
-        ("mode:remote", False, False),
-        ("mode:remote pulses:1", False, False),
-        ("bus_up:false", False, False),
-        ("guard_sends:true", False, False),
-    ],
-)
-def test_what_may_be_obeyed_and_who_can_be_told_a_stop(words: str, obeyed: bool, stopped: bool) -> None:  # noqa: FBT001
-    """Unseen counts as obeyed; a robot in mode stop that is seen to move is told all the same."""
-    assert (may_obey(but(words)), may_be_stopped(but(words))) == (obeyed, stopped)
-    handover, later_ns = commanding(), NOW_NS + LEFT_BLIND_NS
-    assert not handover.is_obeyed_again(but(words), NOW_NS, is_taken=False), "nothing was left"
-    handover.leave(TOLD, Reason.HAND_TRANSMITTER, AUTO, NOW_NS)
-    assert handover.is_obeyed_again(but(words), later_ns, is_taken=False) is stopped
-    # What another computer commands is not ours any more, also when it falls silent.
-    assert not handover.is_obeyed_again(AUTO, later_ns, is_taken=True)
-    assert handover.left is None
-    assert not handover.is_obeyed_again(AUTO, later_ns, is_taken=False)
 
 
 def test_what_is_not_seen_yet_is_waited_for_from_when_the_bus_is_back() -> None:
     """Right after leaving, and right after each return of the bus."""
-    handover, unseen = commanding(), but("mode:undefined")
-    handover.leave(TOLD, Reason.BUS_DOWN, but("bus_up:false"), NOW_NS)
+    handover = Handover()
+    handover.begin(AUTO)
+    unseen, lost = seen(AUTO, ("mode:undefined",)), seen(AUTO, ("bus_up:false",))
+    handover.leave(doing(1.0), Reason.BUS_DOWN, lost, NOW_NS)
     assert not handover.is_obeyed_again(unseen, NOW_NS + LEFT_BLIND_NS - 1, is_taken=False)
     back_ns = NOW_NS + 5 * LEFT_BLIND_NS
-    assert not handover.is_obeyed_again(but("bus_up:false"), back_ns, is_taken=False)
+    assert not handover.is_obeyed_again(lost, back_ns, is_taken=False)
     assert not handover.is_obeyed_again(unseen, back_ns + LEFT_BLIND_NS - 1, is_taken=False)
     assert handover.is_obeyed_again(AUTO, back_ns + 1, is_taken=False), "what is seen is not waited for"
     assert handover.is_obeyed_again(unseen, back_ns + LEFT_BLIND_NS, is_taken=False)
+    # What another computer commands is not ours any more, also when it falls silent.
+    assert not handover.is_obeyed_again(AUTO, back_ns + LEFT_BLIND_NS, is_taken=True)
+    assert not handover.is_obeyed_again(AUTO, back_ns + LEFT_BLIND_NS, is_taken=False)
 
 
 # What is seen of a chassis, and where a stop begins that nobody of us led up to.

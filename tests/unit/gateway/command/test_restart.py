@@ -27,9 +27,9 @@ QUIET = f"wait {QUIET_NS / 1e9 + 0.1}"
 
 CARRIED = {
     **{
-        reason: f"driving 1; {strike}; rest; = latched {reason}; ask release; {QUIET}; = may_restart; restart; "
-        f"= latched {reason}; text latch {words}; operator second; reply acquire none; reply engage {reason}; "
-        f"reply reset none{of}; engage"
+        reason: f"driving 1; {strike}; rest; = latched {reason}; ask release; {QUIET}; = may_restart; restart; = "
+        f"latched {reason}; text latch {words}; operator second; reply acquire none; reply engage {reason}; reply "
+        f"reset none{of}; engage"
         for reason, strike, words, of in [
             ("remote_stop", "send stop stranger", "by stranger", " of:stranger"),
             ("front_bumper", "bumper front on for 100ms", "front bumper", ""),
@@ -80,8 +80,7 @@ def test_a_chassis_that_was_left_with_a_command_is_not_left_alone() -> None:
     """The remote control took it over in a drive, and may give it back: the guard needs the gateway for that."""
     play(
         f"driving 1; transmitter remote; wait 1; reply release none; {QUIET}; = unmay_restart; transmitter "
-        "command; "
-        f"wait 2; = for found_moving; {QUIET}; = may_restart"
+        f"command; wait 2; = for found_moving; {QUIET}; = may_restart"
     )
 
 
@@ -103,8 +102,8 @@ def test_the_journal_of_the_second_run_begins_with_what_was_carried_over() -> No
 # A gateway at rest.
 
 RESTED = (
-    "ready; engage; drive 0.5 3 1; ask disengage; wait 4; operator second; reply take none override:true; "
-    f"reply release none; {QUIET}"
+    "ready; engage; drive 0.5 3 1; ask disengage; wait 4; operator second; reply take none override:true; reply "
+    f"release none; {QUIET}"
 )
 NO_REST = {
     "a lease": "operator third; reply acquire none",

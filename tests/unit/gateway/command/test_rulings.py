@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.chassis.port import ChassisState
-from gateway.command.rulings import STOPS, TRANSITIONS, Notices, Trigger, diagram
+from gateway.command.rulings import STOPS, TRANSITIONS, Notices, Trigger
 from schemas.decisions import ArbiterState, EventKind, Severity
 from schemas.messages import ControllerState
 from schemas.reasons import TEXTS, Reason
@@ -12,16 +12,13 @@ from tests.support.rigs.arbiter import MS
 
 
 def test_only_engage_leads_to_motion_and_stop_is_possible_everywhere() -> None:
-    """From standby only ENGAGE leads to engaging, and only CONFIRMED to engaged; the diagram has every row."""
+    """From standby only ENGAGE leads to engaging, and only CONFIRMED to engaged."""
     to = {after: set[tuple[ArbiterState, Trigger]]() for after in ArbiterState}
     for how, after in TRANSITIONS.items():
         to[after].add(how)
     assert to[ArbiterState.ENGAGING] == {(ArbiterState.STANDBY, Trigger.ENGAGE)}
     assert to[ArbiterState.ENGAGED] == {(ArbiterState.ENGAGING, Trigger.CONFIRMED)}
     assert to[ArbiterState.STOPPING] == {(state, Trigger.STOP) for state in ArbiterState}
-    lines = diagram().splitlines()
-    assert (lines[:2], len(lines)) == (["stateDiagram-v2", "    [*] --> standby"], 2 + len(TRANSITIONS))
-    assert "    engaging --> engaged: the chassis reads auto" in lines
 
 
 RULES = {
@@ -30,8 +27,7 @@ RULES = {
     "brake_slips feedback_frozen gate guard",
     # Rows 'deadman: controlled stop' and 'disengage: controlled stop, no latch'; all of the operator's side.
     "slow": "idle unguarded deadman disengaged lease_expired lease_released lease_taken grant_expired "
-    "grant_revoked "
-    "not_confirmed found_moving shutdown",
+    "grant_revoked not_confirmed found_moving shutdown",
     # A ramp in the wrong scale would ask for 40 times the speed.
     "no ramp": "implausible_speed variant_unknown",
     # Row 'rolling: parking brake at once'; and where a ramp cannot be told: what the gate refuses, mode stop.

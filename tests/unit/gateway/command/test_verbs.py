@@ -96,10 +96,9 @@ def test_no_bytes_raise_or_move(verb: str, payload: bytes, put: bool) -> None:  
 LEASES = {
     "two seconds": "ready; acquire; = lasts 2",
     "without a name one may only stop": "ready; acquire by nobody; = refused malformed; stop by nobody; = ruled "
-    "none; "
-    "text latch by an unnamed operator",
-    "held by another": "ready lease_s:10; acquire; tick 49; acquire by second; = refused lease_held; "
-    "detail by first, expires in 9.5 s",
+    "none; text latch by an unnamed operator",
+    "held by another": "ready lease_s:10; acquire; tick 49; acquire by second; = refused lease_held; detail by "
+    "first, expires in 9.5 s",
     "taken from a robot that moves": f"{MOVING}; take by second; = refused moving",
     "taken with a lower role": f"{MOVING}; take by second override:true role:program; = refused role_too_low; "
     "detail first holds it as operator",
@@ -111,17 +110,17 @@ LEASES = {
     "about to expire": "ready lease_s:10; acquire; tick 998; drive; = refused not_engaged",
     "expired": "ready lease_s:10; acquire; tick 999; drive; = ruled lease_expired",
     # Its end stops the robot, also one that is being engaged; the events name who lost it and who has it.
-    "given back": f"{ENGAGED}; release; = ruled none, stopping, for lease_released, by lease first; "
-    "text lease first gave the lease back",
+    "given back": f"{ENGAGED}; release; = ruled none, stopping, for lease_released, by lease first; text lease "
+    "first gave the lease back",
     "given back while engaging": f"{ENGAGING}; release; = stopping, for lease_released, by lease first",
-    "taken": f"{MOVING}; take by second override:true; = held second, stopping, for lease_taken, by lease second, "
-    "events lease none lease_taken none; text lease second has taken the lease as operator",
+    "taken": f"{MOVING}; take by second override:true; = held second, stopping, for lease_taken, by lease "
+    "second, events lease none lease_taken none; text lease second has taken the lease as operator",
     "taken while engaging": f"{ENGAGING}; take; = held first, stopping, for lease_taken",
-    "it expires": "engaged lease_s:0.5 deadman_s:0.5; tick 52; = stopping, for lease_expired, by lease first, "
-    "by stop first",
+    "it expires": "engaged lease_s:0.5 deadman_s:0.5; tick 52; = stopping, for lease_expired, by lease first, by "
+    "stop first",
     # Nothing is stopped that is not told anything; what nobody holds is acquired.
-    "taken in standby": "ready; take by second role:program; = ruled none; "
-    "text lease second has acquired the lease as program; take; = ruled none, standby",
+    "taken in standby": "ready; take by second role:program; = ruled none; text lease second has acquired the "
+    "lease as program; take; = ruled none, standby",
 }
 
 
@@ -182,15 +181,15 @@ ENGAGE = {
     },
     # The configured deadman is the least.
     **{
-        f"a deadman of {asked}": f"ready; acquire; engage deadman_s:{asked}; tick 2; drive; tick {ticks - 1}; "
-        "= engaged; tick; = for deadman"
+        f"a deadman of {asked}": f"ready; acquire; engage deadman_s:{asked}; tick 2; drive; tick {ticks - 1}; = "
+        "engaged; tick; = for deadman"
         for asked, ticks in (("null", 31), (0.1, 31), (0.8, 81), (1.0, 101))
     },
-    "disengage": "driving 0.5 100; disengage; = ruled none, stopping, told 0.488; disengage; = ruled none, "
-    "told 0.476, latched; hold 600; disengage; = refused not_engaged",
+    "disengage": "driving 0.5 100; disengage; = ruled none, stopping, told 0.488; disengage; = ruled none, told "
+    "0.476, latched; hold 600; disengage; = refused not_engaged",
     **{
-        f"barred by {reason}": f"ready signed:true; bar {reason} the file x is missing; acquire; engage; "
-        f"= refused {reason}; detail the file x is missing; bar; engage; = pending"
+        f"barred by {reason}": f"ready signed:true; bar {reason} the file x is missing; acquire; engage; = "
+        f"refused {reason}; detail the file x is missing; bar; engage; = pending"
         for reason in ("unauthenticated", "self_test")
     },
 }
@@ -246,16 +245,15 @@ RESET = {
     f"{UNSEEN}",
     "a challenge after the latch": f"{LATCHED}; reset challenge:61; = ruled none, latched",
     "a challenge before the latch": f"{LATCHED}; reset challenge:62; = refused remote_stop, own; {UNSEEN}",
-    "nothing latched": "ready; acquire; tick 60; reset challenge:20; = ruled none; "
-    "text reset reset: nothing was latched",
+    "nothing latched": "ready; acquire; tick 60; reset challenge:20; = ruled none; text reset reset: nothing was "
+    "latched",
     "a bumper hit again": f"{HIT_TWICE}; = refused front_bumper",
     "a bumper held down": f"{HIT_TWICE}; tick 60; reset; = ruled none, latched",
-    "what is reset is not engaged": "engaged; stop by second; hold 600; engage; = refused remote_stop; "
-    "reset of:second; = ruled none, standby; detail remote_stop",
+    "what is reset is not engaged": "engaged; stop by second; hold 600; engage; = refused remote_stop; reset "
+    "of:second; = ruled none, standby; detail remote_stop",
     # Whoever resets has not seen a stop of the same tick: stop always wins.
     "a second stop in its tick": "ready; acquire; stop; tick 60; together stop by second + reset + engage; = "
-    "standby; "
-    "detail none remote_stop remote_stop",
+    "standby; detail none remote_stop remote_stop",
 }
 WHOSE = {
     f"of {stoppers}, cleared is {of or 'none'}": "ready lease_s:10; acquire; "
@@ -292,10 +290,10 @@ AUXILIARY = {
     "park at speed": "driving 1 100; drive; = unbelow 0.5; park; = ruled none, parking, told 0, gear drive",
     "lamps": f"{ENGAGED}; light left:true; = ruled none, beside Light",
     "horn": f"{ENGAGED}; horn on:true; = ruled none, beside Speaker",
-    "odometer": f"{ENGAGED}; clear_odometer; = pending; mark; drive 0 8; see total_mileage_km:0; tick 5; "
-    "= answered clear_odometer none",
-    "odometer that is not cleared": f"{ENGAGED}; drive 0 6; clear_odometer; mark; drive 0 205; "
-    "= answered clear_odometer not_confirmed",
+    "odometer": f"{ENGAGED}; clear_odometer; = pending; mark; drive 0 8; see total_mileage_km:0; tick 5; = "
+    "answered clear_odometer none",
+    "odometer that is not cleared": f"{ENGAGED}; drive 0 6; clear_odometer; mark; drive 0 205; = answered "
+    "clear_odometer not_confirmed",
     "odometer twice": f"{ENGAGED}; clear_odometer; clear_odometer; = refused busy",
     "odometer in motion": f"{MOVING}; clear_odometer; = refused moving",
 }
@@ -330,24 +328,21 @@ DRIVE = {
     },
     # Nobody lifts it to where the holder's own numbers are refused; a new lease begins at the bottom.
     **{
-        f"sequence {seq} after 1": f"{ENGAGED}; drive 1 1 seq:{seq}; = refused sequence; "
-        f"detail {seq} after 1, at most 1000 more; drive 1 1 seq:1001; = ruled none; drive 1 1 seq:1002; = ruled "
-        "none; "
-        "release; acquire; drive seq:1000; = refused sequence; drive seq:999; = unruled sequence"
+        f"sequence {seq} after 1": f"{ENGAGED}; drive 1 1 seq:{seq}; = refused sequence; detail {seq} after 1, at "
+        "most 1000 more; drive 1 1 seq:1001; = ruled none; drive 1 1 seq:1002; = ruled none; release; acquire; "
+        "drive seq:1000; = refused sequence; drive seq:999; = unruled sequence"
         for seq in (2**53 - 1, 1002)
     },
     # At the limit it is not refused. What is refused does not renew, nor does its sequence count.
     "as old as may be": "engaged deadman_s:0.5 max_age_s:0.4; tick 40; drive 1 1 challenge:40; = ruled none, age "
-    "400, "
-    "fresh",
+    "400, fresh",
     "too old": "engaged deadman_s:0.5 max_age_s:0.4; tick 41; drive 1 1 seq:2 challenge:41; = refused too_old, "
-    "age 410, "
-    "unfresh; detail 410 ms, at most 400 ms; drive 1 1 seq:2; = ruled none",
+    "age 410, unfresh; detail 410 ms, at most 400 ms; drive 1 1 seq:2; = ruled none",
     # It was not published: of another run, of none, or one that nobody can have seen yet.
     "an unknown challenge": f"{ENGAGED}; drive 1 1 challenge:-5; = refused challenge_unknown, age none, target 0",
     # A stream that comes too late is told from one that has ended.
-    "refused until the deadman": "driving 0.5 60 max_age_s:0.4; drive 0.5 31 challenge:47; = for deadman; "
-    "text stop none for 310 ms| 31 commands refused as too old, 470 ms",
+    "refused until the deadman": "driving 0.5 60 max_age_s:0.4; drive 0.5 31 challenge:47; = for deadman; text "
+    "stop none for 310 ms| 31 commands refused as too old, 470 ms",
 }
 
 
@@ -403,13 +398,12 @@ def test_without_credentials_nothing_is_accepted() -> None:
 PROGRAM, NOBODY = "grant role:program", "grant reason:proof_missing"
 SIGNED = {
     "the role is the grant's": f"ready signed:true; {PROGRAM}; acquire role:supervisor; = held first program; "
-    "grant; "
-    f"take by second role:program; = held second operator; {PROGRAM}; take role:supervisor; = refused "
+    f"grant; take by second role:program; = held second operator; {PROGRAM}; take role:supervisor; = refused "
     "role_too_low",
     "in open mode it is what people say": "ready; acquire role:supervisor; = held first supervisor",
     # Also where it would not be needed.
-    "an override has to be granted": "ready signed:true; take override:true; = refused not_granted; "
-    "grant override:true; take override:true; = ruled none",
+    "an override has to be granted": "ready signed:true; take override:true; = refused not_granted; grant "
+    "override:true; take override:true; = ruled none",
     # The lowest limit counts: that of the grant, that of the request and the configured one.
     **{
         f"granted {granted}, asked {asked}": f"ready signed:true; grant speed_limit_mps:{granted}; acquire; "
@@ -429,12 +423,11 @@ SIGNED = {
         for credentials, who in (("grant", "by first"), (NOBODY, "by first (unproven)"))
     },
     # The first word of a stop waits for no proof, so the record says afterwards whose it was; once.
-    "proven afterwards": f"driving 0.3 20 signed:true; {NOBODY}; stop; "
-    "text latch latched until a reset: a remote stop was received| by first (unproven); grant; stop; "
-    f"{NOBODY}; stop; grant; stop; latch remote_stop by first; = events latch remote_stop none; "
-    "text latch proven: a remote stop was received| by first",
-    "a proven stop takes no name from another's": f"ready signed:true; {NOBODY}; stop by vic; grant; stop; "
-    "latch remote_stop by first, vic (unproven); = events latch remote_stop",
+    "proven afterwards": f"driving 0.3 20 signed:true; {NOBODY}; stop; text latch latched until a reset: a "
+    f"remote stop was received| by first (unproven); grant; stop; {NOBODY}; stop; grant; stop; latch remote_stop "
+    "by first; = events latch remote_stop none; text latch proven: a remote stop was received| by first",
+    "a proven stop takes no name from another's": f"ready signed:true; {NOBODY}; stop by vic; grant; stop; latch "
+    "remote_stop by first, vic (unproven); = events latch remote_stop",
     # In a controlled way; nothing is latched, and the lease says why to its holder.
     **{
         f"{reason} in a drive": f"driving 0.5 100 signed:true; mark; lose {reason}; = stopping, free; drive 0.5; "
