@@ -46,11 +46,7 @@ _READ_BYTES: Final = 4096
 
 
 class SocketcandBus:
-    """A bus that a server shows over TCP.
-
-    Attributes:
-        stream: the connection.
-    """
+    """A bus that a server shows over TCP."""
 
     def __init__(self, host: str, port: int, channel: str) -> None:
         """Connect, and open the bus. Raises OSError: there is no server, or it does not answer, or otherwise."""
@@ -375,11 +371,7 @@ def packed_filters(identifiers: Collection[int]) -> bytes:
 
 
 class SocketCanBus:
-    """A SocketCAN interface.
-
-    Attributes:
-        drops: frames that the kernel dropped since this was opened, because they were not read in time.
-    """
+    """A SocketCAN interface."""
 
     def __init__(self, bus: socket.socket) -> None:
         """Own a socket of ``open_socket``."""

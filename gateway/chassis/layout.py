@@ -98,8 +98,6 @@ class MessageLayout(msgspec.Struct, frozen=True):
 
     Attributes:
         can_id: identifier with the EXTENDED flag, as in Frame.
-        length: data bytes.
-        period_ns: nominal cycle time.
         is_feedback: sent by the chassis; else a command to it.
     """
 

@@ -24,7 +24,6 @@ class Actuation(msgspec.Struct, frozen=True):
         gear: neutral, drive or reverse. Park is reserved and never commanded (manual V2.0, table of gears).
         speed_mps: a magnitude; the gear gives the direction.
         angle_deg: left is positive.
-        parking: the parking brake is asked for.
     """
 
     enabled: bool = False
@@ -47,15 +46,11 @@ class ChassisState(msgspec.Struct, frozen=True):
     """The chassis, the bus and the guard now. A field that is not known is None or UNDEFINED.
 
     Attributes:
-        bus_up: the bus is open.
-        bus_losses: number of losses since the start.
-        controller: the CAN controller's error state, if that is known.
         missing: required feedback frames that were never seen, are silent, or say that they are not valid.
         faulty: required feedback frames whose checksums or alive counters have failed.
         absurd: required feedback frames whose values this chassis cannot have, again and again.
         variant: the firmware variant in force; UNKNOWN while there is any doubt.
         confirmed: evidence from the bus agrees with the variant.
-        brake: the parking brake's feedback.
         speed_mps: the drive feedback, a magnitude.
         wheel_speed_mps: mean of the rear wheels, signed.
         fastest_wheel_mps: the faster of the two, a magnitude.
@@ -65,12 +60,10 @@ class ChassisState(msgspec.Struct, frozen=True):
             or are not known. The manual gives no resolution, so they give a direction and no speed.
         creeps: the direction in which they have counted for a while, but not in each frame; 0 if they have not.
         commander_ns: when another computer's command frame was last received; None if never.
-        guarded: the guard watches this process.
         guard_sends: the guard is stopping the robot in our place.
         guard_stops: number of stops that it has begun since the start.
         guard_says: why it last did, and how that ended; empty if it never did.
         is_behind: frames come faster than they can be read, so what is seen is old.
-        realtime: the gateway has real-time priority.
     """
 
     bus_up: bool = False
@@ -293,21 +286,15 @@ class Chassis(msgspec.Struct, frozen=True):
 
     Attributes:
         dbc_files: the DBC's name, by firmware variant.
-        dbc_text: the DBC of a variant.
-        layout: that of a variant.
         rules: of plausible values, each with its feedback frame and signal. All of a frame's must hold.
         evidence, tracker, maker, gate, view: make these parts, each as it is at a start. A gate with
             ``may_release`` admits one release of the parking brake by a stop that it sees first.
         light: the frame that says that all lamps are off.
         lamps: its signals of headlamp, left and right indicator.
         horn, odometer: the frame that is off, and the one that sounds it or clears it.
-        motion_frames: those of a whole burst.
         scaled_frames: the feedback frames whose layout depends on the variant: those of speeds.
-        evidence_frame: the feedback frame that is evidence of the variant.
-        bumper_frame: the feedback frame that reads the bumpers.
         speed_bit_mps: the smallest speed that a command can carry, by variant.
         scale_ratio: between the speed scales of the coarse variant and of the fine one.
-        wheelbase_m: between the axles.
         top_speed_mps, top_angle_deg: the chassis drives no faster and steers no further, either way.
     """
 

@@ -41,7 +41,6 @@ class Guardian:
         is_ended: nothing is left to guard; the process may leave.
         is_sending: a stop is under way, and the loop has to keep silent. It is carried through also when the loop
             comes back: a loop that has seen this will not take the robot again.
-        stops: number of stops that it has begun.
         cause: of the last one, or of the one under way.
         outcome: the end of the last one; NONE while one is under way.
     """

@@ -29,8 +29,6 @@ class Beat(msgspec.Struct, frozen=True):
         told_ns: when the bus last accepted a whole burst.
         is_left: the chassis was left to somebody else with the command ``last``, and may execute that again.
         is_mute: the output cannot be sent; the guard has to act at once.
-        is_closing: the gateway ends, and nobody will beat any more.
-        variant: the one in force.
         last: the chassis's last command; at rest if that is over and done.
         counters: the next alive counter of each command frame, in the layout's order.
         is_released: a stop has given the robot back to its motor, for the parking brake does not hold it.
@@ -91,11 +89,9 @@ class GuardStatus(msgspec.Struct, frozen=True):
     """The guard's sign of life.
 
     Attributes:
-        now_ns: monotonic.
         is_ready: its bus is open and it receives feedback.
         is_sending: it stops the robot; the loop must not send. Also while it waits for the remote control to
             give the robot back.
-        stops: number of stops that it has begun since it was started.
         cause: of the last one, or of the one under way.
         outcome: the end of the last one; NONE while one is under way.
     """
@@ -137,7 +133,6 @@ class Stopper:
     Attributes:
         is_over: nothing more is to be sent.
         is_paused: nothing is sent, for the remote control has the robot.
-        frames: number of frames sent.
         outcome: its end, in words; empty before.
     """
 

@@ -84,11 +84,7 @@ class _Record(Generic[Kind]):
 
 
 class Heartbeat:
-    """The shared memory, as either side sees it.
-
-    Attributes:
-        descriptor: of the memory, to be handed to the other process.
-    """
+    """The shared memory, as either side sees it."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -225,11 +221,7 @@ _PRIORITY_MAX: Final = 99
 
 
 class GuardOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The order of the gateway to its guard, on stdin.
-
-    Attributes:
-        parent: the gateway's process.
-    """
+    """The order of the gateway to its guard, on stdin."""
 
     parent: int
     settings: Settings

@@ -36,11 +36,7 @@ END_TIMEOUT_S: Final = 1.0
 
 
 class NoGuard:
-    """No guard can watch here.
-
-    Attributes:
-        why_not: why, for people.
-    """
+    """No guard can watch here."""
 
     def __init__(self, why_not: str) -> None:
         self.why_not = why_not

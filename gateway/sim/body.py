@@ -151,11 +151,9 @@ class Demand(msgspec.Struct, frozen=True):
     """The demand on the chassis by its present commander.
 
     Attributes:
-        gear: drive, reverse or neutral.
         speed_mps: a magnitude; the gear gives the direction.
         angle_deg: left positive; None holds the angle.
         pedal_percent: brake pedal; where it has a gain, pressing it cuts the drive.
-        parked: the parking brake is to be applied.
     """
 
     gear: GearPosition
@@ -169,13 +167,11 @@ class Motion:
     """The moving chassis.
 
     Attributes:
-        conditions: may change from step to step.
         parked: the parking brake is applied, and the drive is cut. It follows the demand with a delay.
         gear: the gear in force: that of the other direction engages only at standstill.
         speed_mps: signed, forward positive.
         angle_deg: steering angle, left positive.
         x_m: position; with ``y_m`` and ``yaw_rad`` (-pi to pi, left positive) the pose since the start.
-        mileage_m: distance driven in either direction.
     """
 
     def __init__(self, wheelbase_m: float, conditions: Conditions = NOMINAL) -> None:

@@ -98,11 +98,7 @@ class Contact(NamedTuple):
 
 
 class Foreign(msgspec.Struct, frozen=True):
-    """Frames that are not of this chassis, or not sent by it.
-
-    Attributes:
-        can_id: with flags, as in Frame.
-    """
+    """Frames that are not of this chassis, or not sent by it."""
 
     can_id: int
     data: bytes = bytes(8)

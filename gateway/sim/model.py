@@ -32,13 +32,7 @@ _CHECKSUM_ERROR: Final = 0xA5
 
 
 class _Row(msgspec.Struct):
-    """One feedback message.
-
-    Attributes:
-        sent: number of times that it was due so far.
-        counter: the next alive counter, not yet wrapped.
-        frozen: the values that it keeps.
-    """
+    """One feedback message."""
 
     name: str
     can_id: int
@@ -123,7 +117,6 @@ class SimulatedState(msgspec.Struct, frozen=True):
 
     Attributes:
         speed_mps: signed, forward positive.
-        x_m: position; with ``y_m`` and ``yaw_rad`` the pose since the start, by ISO 8855.
         ignored_frames: frames received that were no valid command.
     """
 

@@ -19,7 +19,6 @@ class FeedbackStream:
         decoder: turns its data into a message; None while the scale of its speeds is not known.
         latest: the newest message; None before the first, while the frame is silent and while it is withheld.
         data: the newest valid frame's bytes, withheld or not; None before the first and while it is silent.
-        supervisor: the supervision of the frame.
     """
 
     def __init__(self, decoder: MessageDecoder, faults: Counter[FaultKind]) -> None:

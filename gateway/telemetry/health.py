@@ -45,15 +45,7 @@ class Links(msgspec.Struct, frozen=True):
 
     Attributes:
         bus_up, bus_detail, bus_losses, bus_drops: the CAN bus, as in GatewayHealth.
-        zenoh_peers: Zenoh nodes connected directly.
-        publish_failures: samples that Zenoh did not take, since the start.
         cpu_ns: processor time of the process since its start.
-        guarded: the guard watches this process.
-        guard_sends: the guard is stopping the robot in our place.
-        guard_stops: number of stops that it has begun since the start.
-        guard_says: why it last did, and how that ended; empty if it never did.
-        is_behind: frames come faster than they can be read.
-        realtime: the loop has real-time priority.
         inbox_drops: requests that were dropped unread because too many came, since the start.
         outside: the other ends of Zenoh connections that leave this machine.
         certificate_ends_s, grant_ends_s: the end of the gateway's certificate and of the robot's grant, seconds
@@ -82,12 +74,7 @@ class Links(msgspec.Struct, frozen=True):
 
 
 class HealthMeter:
-    """Counters of the gateway's health, published each second.
-
-    Attributes:
-        faults: faults since the start, by kind.
-        controller: its state by the interface's error frames.
-    """
+    """Counters of the gateway's health, published each second."""
 
     def __init__(self, gateway_version: str, bus: str, started_ns: int) -> None:
         self.faults: Counter[FaultKind] = Counter()

@@ -317,7 +317,6 @@ class ZenohPlace(msgspec.Struct, frozen=True):
 
     Attributes:
         listen: endpoints that its session for telemetry listens on; empty if it only dials out.
-        command_listen: endpoints that its session for commands listens on.
         is_client: its sessions are clients, which listen on nothing.
     """
 

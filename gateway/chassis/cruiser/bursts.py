@@ -27,12 +27,7 @@ from schemas.messages import Variant
 
 
 class FrameMaker:
-    """Makes the frames of a tick.
-
-    Attributes:
-        counters: the next alive counter of each command frame, by the frame's name.
-        is_torn: the bus took only a part of the last burst that it took anything of.
-    """
+    """Makes the frames of a tick."""
 
     def __init__(self) -> None:
         layouts = {variant: load(variant) for variant in (Variant.COARSE, Variant.FINE)}

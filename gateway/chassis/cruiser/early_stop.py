@@ -214,7 +214,6 @@ class EarlyStop:
     """Watches the chassis, and stops it when it moves in auto and nobody commands it. Pure.
 
     Attributes:
-        is_sending: a stop is under way.
         frames: those that the bus took in this stop.
         outcome: how the last stop ended, in the guard's words; empty before.
     """

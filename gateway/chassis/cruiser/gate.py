@@ -111,11 +111,7 @@ FORGET_NS: Final = 200_000_000
 
 
 class Gate:
-    """Admits a burst as a whole or not at all.
-
-    Attributes:
-        counters: the last alive counter of each identifier that was ever sent.
-    """
+    """Admits a burst as a whole or not at all."""
 
     def __init__(self, *, may_release: bool = False) -> None:
         """Nothing was sent yet. A stop of an engagement may release the parking brake once."""

@@ -29,12 +29,7 @@ _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
 class ChassisView:
-    """The newest feedback and commands on the bus.
-
-    Attributes:
-        next_counters: the counter that each received command frame would have next, by its name.
-        commander_ns: when a command frame that moves the robot was last received; None if never.
-    """
+    """The newest feedback and commands on the bus."""
 
     def __init__(self) -> None:
         layout = load(Variant.COARSE)

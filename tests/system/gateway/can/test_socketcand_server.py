@@ -14,8 +14,7 @@ from gateway.can.socketcand_server import (
 )
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, Frame
-from gateway.chassis.layout import Encoder
-from schemas.messages import Mode, Variant
+from schemas.messages import Variant
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 from tests.support.waiting import wait_until
 
@@ -81,17 +80,6 @@ def test_python_can_receives_the_feedback(running: Served) -> None:
     assert set(counters) == {message.can_id & ~EXTENDED for message in layout.feedback}
 
 
-def test_python_can_drives_it(running: Served) -> None:
-    """Commands sent through python-can reach the chassis."""
-    encoder = Encoder(load(Variant.COARSE))
-    with running.bus() as bus:
-        for name in ("Gear", "Steering", "Drive", "Braking", "Parking"):
-            frame = encoder.encode(f"Auto_{name}Cmd", {"Enable": True}, 0)
-            bus.send(can.Message(arbitration_id=frame.identifier, data=frame.data))
-        receive(bus, lambda message: message.arbitration_id == 0x18C4D9EF and message.data[5] == 0)
-    assert running.chassis.state.mode is Mode.AUTO
-
-
 def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
     """As on a wire: standard and extended identifiers, any length."""
     with running.bus() as first, running.bus() as second, running.bus() as third:
@@ -111,17 +99,6 @@ def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
         assert receive(first, lambda message: message.arbitration_id in others).arbitration_id == 0x1ABCDEF0
 
 
-def test_a_fault_can_be_caused_over_the_connection(running: Served) -> None:
-    """The answer is ok, or the reason with the right word."""
-    with running.raw() as client:
-        client.sendall(b"< fault bumper front on >")
-        assert client.recv(300) == b"< ok >"
-        client.sendall(b"< fault bumpr front on >")
-        assert client.recv(300) == b"< error there is no fault 'bumpr'; did you mean 'bumper'? >"
-    with running.bus() as bus:
-        assert receive(bus, lambda message: message.arbitration_id == 0x18C4D9EF).data[4] & 1
-
-
 def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) -> None:
     """No frame may stick to the ok that python-can's handshake compares, and none comes later in a burst."""
     client = join(server, now_ns=1000)
@@ -133,14 +110,6 @@ def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) ->
     server.send([FRAME], 1000 + JOIN_NS)
     client.settimeout(DEADLINE_S)
     assert client.recv(300) == LINE
-    client.close()
-
-
-def test_frames_of_clients_are_stamped_on_arrival(server: SocketcandServer) -> None:
-    """The time is the server's, as a CAN controller's would be."""
-    client = join(server)
-    client.sendall(b"< send 123 1 ff >")
-    assert turn(server, JOIN_NS, 77) == [Frame(0x123, b"\xff", 77)]
     client.close()
 
 

@@ -277,18 +277,6 @@ def test_every_message_encodes_as_cantools_encodes_it(variant: Variant, data: st
         assert frame.identifier == message.frame_id
 
 
-@pytest.mark.parametrize("layout", LAYOUTS, ids=identify)
-@given(alive=st.integers(0, 255))
-def test_the_alive_counter_has_the_high_nibble_of_byte_6_alone(layout: MessageLayout, alive: int) -> None:
-    """The counter takes four bits, 52 to 55, and leaves the low nibble alone; the checksum comes after it.
-
-    Published drivers of this family add 1 to the whole of byte 6, or wrap at 3.
-    """
-    frame = Encoder(load(Variant.COARSE)).encode(layout.name, {}, alive)
-    assert frame.data[6] == (alive % 16) << 4
-    assert isinstance(DECODERS[Variant.COARSE].decode(frame), Decoded)
-
-
 def test_a_signal_that_is_not_named_has_its_start_value() -> None:
     """The default gear is neutral and the default angle 0, as in the manual's examples; all else is zero."""
     encoder = Encoder(load(Variant.COARSE))

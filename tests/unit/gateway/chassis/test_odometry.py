@@ -92,21 +92,6 @@ def test_any_circle(speed_mps: float, angle_deg: float, way: int, side: int, sec
     assert turned(pose.heading_rad, heading_rad) < 1e-6
 
 
-PARTS = st.lists(st.tuples(st.floats(-2.2, 2.2), st.floats(-24, 24), st.floats(0.0, 3.0)), min_size=1, max_size=5)
-
-
-@given(PARTS)
-def test_variances_never_fall(parts: list[Part]) -> None:
-    """They are finite, and grow as long as the robot is driven anywhere but on a circle that leads it back."""
-    poses = [after(*parts[: number + 1]) for number in range(len(parts))]
-    for before, now in pairwise(said for pose in poses if (said := pose.report()) is not None):
-        assert now.heading_variance_rad2 >= before.heading_variance_rad2
-        assert now.x_variance_m2 >= 0 <= now.y_variance_m2
-    for pose in poses:
-        assert pose.distance_m + 1e-9 >= hypot(pose.x_m, pose.y_m)
-        assert -pi <= pose.heading_rad <= pi
-
-
 def sd(pose: DeadReckoning) -> tuple[float, float]:
     """Return standard deviations of the place, in metres, and of the heading, in degrees."""
     pose.last_ns = (pose.last_ns or 0) + 1  # So that it is told again.
@@ -177,19 +162,6 @@ def test_pulses_that_count_another_way_make_it_unsure(
     alone, checked = after(*parts), after(*parts, pulses=pulses)
     assert (checked.x_m, checked.y_m, checked.heading_rad) == (alone.x_m, alone.y_m, alone.heading_rad)
     assert (sd(checked) > sd(alone)) is is_doubted
-
-
-def test_a_speed_that_is_frozen_at_zero_is_noticed_by_the_pulses() -> None:
-    """Once a metre's pulses are known."""
-    made, way_m = after((1.0, 0.0, 5.0), pulses=lambda way: PULSES_PER_M * way), 5.0
-    sure = sd(made)
-    last_ns = made.last_ns
-    assert last_ns is not None
-    for number in range(1, 41):
-        way_m += 0.05
-        made.move(last_ns + number * 50 * MS, 0.0, 0.0)
-        made.count(last_ns + number * 50 * MS, *[round(PULSES_PER_M * way_m) - 0x8000] * 2)
-    assert sd(made)[0] > sure[0] + 0.3
 
 
 # In the core.

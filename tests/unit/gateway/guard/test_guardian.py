@@ -25,7 +25,6 @@ from schemas.settings import (
     GUARD_LOOK_NS,
     GUARD_POLL_NS,
     HOLD_NS,
-    NOT_SLOWING_NS,
     OFF_BURSTS,
     TICK_NS,
     CommandSettings,
@@ -487,22 +486,6 @@ def test_horn_and_odometer_are_ended_with_the_robot_and_its_hazard_lights_are_on
         lit = {name for name in extra.values if commands[extra.name][name]}
         assert lit == ({"LeftIndicator", "RightIndicator"} if extra.name == "Auto_LightCmd" else set())
     assert len([frame for _, frame in rig.sent if frame.can_id not in MOTION]) == 3 * OFF_BURSTS
-
-
-def test_an_unknown_variant_is_told_zero_speed_only() -> None:
-    """The gate lets nothing else through, so there is no ramp; not seen to slow, it gets its parking brake."""
-    rig = driven()
-    rig.told_variant = Variant.UNKNOWN
-    rig.run(0.01)
-    rig.parent_lives = False
-    drive, gear, _, _, parking, *_ = rig.poll()
-    assert not any(drive.data[1:3])
-    assert (gear.data[1], parking.data[1]) == (4, 0)
-    rig.run(NOT_SLOWING_NS / S)
-    assert rig.sent[-1][1].data[1] == 1
-    rig.run(A_STOP_S)
-    assert rig.chassis.state.speed_mps == 0
-    assert "the robot stands" in rig.lines[-1]
 
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True)

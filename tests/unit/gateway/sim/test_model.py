@@ -487,14 +487,6 @@ def test_in_neutral_it_rolls_downhill(slope_deg: float, payload_kg: float) -> No
     assert motion.x_m == pytest.approx(math.copysign(rolls_mps2 * 2**2 / 2, -slope_deg), rel=0.01, abs=1e-6)
 
 
-@pytest.mark.parametrize("gear", [GearPosition.DRIVE, GearPosition.REVERSE])
-@pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (-20, 0), (18, 100), (-18, 100), (25, 0)])
-def test_in_gear_the_motor_holds_zero_speed(gear: GearPosition, slope_deg: float, payload_kg: float) -> None:
-    """Uphill and downhill, as far as the motor's force goes."""
-    motion = moving(demand(gear), 10, Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
-    assert (motion.speed_mps, motion.x_m) == (0, 0)
-
-
 @pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (15, 100)])
 def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> None:
     """20 deg empty and 15 deg with full payload (manual V2.0, 2.2); 20 deg with full payload is too much."""
@@ -535,34 +527,3 @@ def test_the_parking_brake_stops_a_rolling_robot(slope_deg: float, payload_kg: f
     assert motion.x_m == pytest.approx(2.0**2 / (2 * grip_mps2), abs=2.0 * DT_S)
     rest_m = motion.x_m
     assert moving(PARKS, 60, motion).x_m == rest_m
-
-
-@given(delay_steps=st.integers(1, 30), begins_parked=st.booleans())
-def test_the_parking_brake_takes_its_time(delay_steps: int, begins_parked: bool) -> None:  # noqa: FBT001
-    """To apply and to release; a demand that is taken back meanwhile has had no effect."""
-    motion = Motion(L_M, Conditions(parking_delay_s=delay_steps * DT_S))
-    motion.parked = begins_parked
-    other = PARKS if not begins_parked else ROLLS
-    same = ROLLS if not begins_parked else PARKS
-    for what, steps in ((other, delay_steps - 1), (same, 1), (other, delay_steps - 1)):
-        moving(what, steps * DT_S, motion)
-        assert motion.parked is begins_parked
-    moving(other, DT_S, motion)
-    assert motion.parked is not begins_parked
-    moving(same, (delay_steps - 1) * DT_S, motion)
-    assert motion.parked is not begins_parked
-    moving(same, DT_S, motion)
-    assert motion.parked is begins_parked
-
-
-def test_the_drive_ends_when_the_parking_brake_applies() -> None:
-    """Until then the motor goes on; and it has no force before the brake has released."""
-    motion = moving(demand(speed_mps=1.0), 3)
-    held = Demand(GearPosition.DRIVE, 1.0, 0.0, 0.0, parked=True)
-    moving(held, 0.04, motion)
-    assert motion.speed_mps == 1.0
-    moving(held, 0.2, motion)
-    assert (motion.speed_mps, motion.parked) == (0, True)
-    moving(demand(speed_mps=1.0), 0.04, motion)
-    assert motion.speed_mps == 0
-    assert moving(demand(speed_mps=1.0), 0.1, motion).speed_mps > 0
