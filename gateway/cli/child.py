@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import socket
 import subprocess
 import threading
 from collections import deque
@@ -133,14 +132,6 @@ def address_of(chassis: Child) -> str:
     if ready is None:
         raise CommandError("the virtual chassis does not say where it is")
     return ready[1]
-
-
-def free_port() -> int:
-    """A port of 127.0.0.1 that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def fresh(directory: Path) -> Path:

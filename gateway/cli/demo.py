@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import msgspec
 
-from gateway.cli.child import Child, address_of, free_port, fresh
+from gateway.cli.child import Child, address_of, fresh
 from gateway.cli.sim_fault import cause
 from gateway.client.refusal import RobotError, Stopped, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
@@ -35,7 +35,7 @@ from schemas.command_line import CommandError, ExitCode, address, shown_address
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.reasons import Reason
 from schemas.settings import DEFAULT_ENDPOINT, Settings
-from schemas.zenoh_session import ANY_LOCAL_PORT, close_session, split_endpoint, with_port
+from schemas.zenoh_session import close_session, split_endpoint, with_port
 
 HOST: Final = "127.0.0.1"
 DESK_PORT: Final = 8080
@@ -119,11 +119,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
 
 
 class VirtualRobot:
-    """A chassis and its gateway, with its guard. Another gateway takes the place of one that died.
-
-    Args:
-        endpoint: where it is met.
-    """
+    """A chassis and its gateway, with its guard. Another gateway takes the place of one that died."""
 
     def __init__(
         self, name: str, configuration: Sequence[str], endpoint: str, state: Path, stack: ExitStack
@@ -146,7 +142,8 @@ class VirtualRobot:
 
     def begin(self) -> None:
         self._begun += 1
-        words = [*self._words, "--interface", "socketcand", "--channel", address_of(self.chassis)]
+        self.address = address_of(self.chassis)
+        words = [*self._words, "--interface", "socketcand", "--channel", self.address]
         self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
 
     def tend(self, tell: Callable[[str], None]) -> None:
@@ -272,35 +269,28 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _record(
     config: str | None, settings: Settings, stopped: Callable[[], bool], directory: Path, length_s: float
 ) -> Path:
-    """Run chassis, gateway, recorder and operators; return the log.
-
-    All of them read the configuration that the demo was given; only the places where they meet are the demo's own.
-    """
-    robot = settings.robot
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    """Run chassis, gateway, recorder and operators, with the demo's own configuration; return the log."""
+    endpoint = f"tcp/{HOST}:{_port(0)}"
     configuration = [] if config is None else ["--config", config]
     with ExitStack() as stack:
-        chassis = stack.enter_context(Child("sim", [*configuration, "--listen", "127.0.0.1:0"]))
-        address = address_of(chassis)
-        bus = ["--interface", "socketcand", "--channel", address]
-        # A stop by the guard in another run must not latch the demo's robot. The next port may be taken.
-        own = {"CRUISER_GATEWAY_STATE_DIR": "", "CRUISER_ZENOH_COMMAND_LISTEN": ANY_LOCAL_PORT}
-        words = [*configuration, *bus, "--listen", endpoint]
-        gateway = stack.enter_context(Child("gateway", words, environment=os.environ | own))
-        gateway.wait_ready()
-        words = ["-k", f"{robot.root}/{robot.name}/**", "-o", str(directory), "--connect", endpoint, "--json"]
-        recorder = stack.enter_context(Child("record", [*configuration, *words]))
+        stack.callback(close_session, open_local_router(endpoint))
+        state = Path(stack.enter_context(TemporaryDirectory(prefix="cruiser-")))
+        robot = VirtualRobot(settings.robot.name, configuration, endpoint, state, stack)
+        robot.begin()
+        robot.gateway.wait_ready()
+        words = [*configuration, "--connect", endpoint]
+        keys = f"{settings.robot.root}/{settings.robot.name}/**"
+        recorder = stack.enter_context(Child("record", ["-k", keys, "-o", str(directory), *words, "--json"]))
         recorder.wait_ready()
         problem: CommandError | None = None
         try:
-            words = [*configuration, "--connect", endpoint]
-            Play(settings, words, address, [chassis, gateway, recorder], stopped).run(length_s - FIXED_S)
+            Play(settings, words, robot, recorder, stopped).run(length_s - FIXED_S)
         except CommandError as error:
             problem = error
         # The recorder ends first: the end of the others is not meant for the log.
         result: dict[str, Any] = json.loads(recorder.end())
-        gateway.end()
-        chassis.end()
+        robot.gateway.end()
+        robot.chassis.end()
     path = Path(result["path"] or directory)
     if problem is not None:
         raise CommandError(f"{problem}. The log: {path}", problem.code)
@@ -312,23 +302,22 @@ class Play:
 
     Args:
         words: of a command that reaches the robot; the last is its endpoint.
-        bus: the address of its chassis.
     """
 
     def __init__(
         self,
         settings: Settings,
         words: Sequence[str],
-        bus: str,
-        children: Sequence[Child],
+        robot: VirtualRobot,
+        recorder: Child,
         stopped: Callable[[], bool],
     ) -> None:
         # A client, so that everything goes through this endpoint and nothing around it.
         own = {"mode": "client", "connect": [words[-1]], "given": ("mode", "connect")}
         self._settings = msgspec.structs.replace(settings, zenoh=msgspec.structs.replace(settings.zenoh, **own))
         self._words = words
-        self._bus = bus
-        self._children = children
+        self._bus = robot.address
+        self._children = [robot.chassis, robot.gateway, recorder]
         self._stopped = stopped
         self._begin_ns = time.time_ns()
         self._seen = self._connect(OBSERVER)

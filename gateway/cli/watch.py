@@ -106,8 +106,8 @@ def _live(sightings: Sightings, console: Console, ends: Callable[[], bool], *, i
     with Live(console=console, auto_refresh=False, screen=True) as live:
 
         def draw(reports: list[RobotStatus]) -> None:
-            several = Group(*(view.list_view(reports) or [Text("no robot is connected", style=view.BAD)]))
-            live.update(view.panel(reports[0]) if is_one else several, refresh=True)
+            lines = view.detail_view(reports[0]) if is_one else view.list_view(reports)
+            live.update(Group(*(lines or [Text("no robot is connected", style=view.BAD)])), refresh=True)
 
         show(sightings, draw, REFRESH_S, ends)
 

@@ -6,13 +6,10 @@ A report never gives an old value as a present one: a state or a health that is 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, TypeVar
 
 import msgspec
-from rich.console import Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table
 from rich.text import Text
 
 from gateway.client.refusal import is_idle, last_stop, link_line
@@ -416,21 +413,23 @@ NO_VALUE: Final = "--"  # a value that is not known: never seen, or silent
 
 
 class Fact(msgspec.Struct, frozen=True):
-    """One thing to see, with the style that it is seen in."""
+    """One thing to see."""
 
     label: str
     text: str
-    style: str = PLAIN
+    is_bad: bool = False
 
 
 def state_facts(state: RobotState) -> list[Fact]:
     hit = [side for side, on in (("front", state.front_bumper), ("rear", state.rear_bumper)) if on]
-    lamps = (
-        ("headlamp", state.headlamp),
-        ("left", state.left_indicator),
-        ("right", state.right_indicator),
-        ("horn", state.horn),
-    )
+    unknown = state.front_bumper is None or state.rear_bumper is None
+    lamps = {
+        "headlamp": state.headlamp,
+        "left": state.left_indicator,
+        "right": state.right_indicator,
+        "horn": state.horn,
+    }
+    lit = ", ".join(name for name, on in lamps.items() if on) or "off"
     return [
         Fact("mode", state.mode.value),
         Fact("gear", state.gear_position.value),
@@ -438,12 +437,12 @@ def state_facts(state: RobotState) -> list[Fact]:
         Fact("angle", _number(state.angle_deg, "+z.1f", "deg")),
         Fact("brake", state.braking_status.value),
         Fact("parking", state.parking_status.value),
-        Fact("bumpers", _bumpers(state, hit), BAD if hit else PLAIN),
-        Fact("lamps", _lamps(lamps)),
+        Fact("bumpers", f"{' and '.join(hit)} HIT" if hit else NO_VALUE if unknown else "clear", bool(hit)),
+        Fact("lamps", NO_VALUE if {*lamps.values()} == {None} else lit),
         Fact("mileage", _number(state.total_mileage_km, ".3f", "km")),
-        Fact("variant", state.variant.value, BAD if state.variant.value == "unknown" else PLAIN),
-        Fact("bus", "up" if state.bus_up else "DOWN", GOOD if state.bus_up else BAD),
-        Fact("silent", ", ".join(map(plain, state.silent)) or "none", BAD if state.silent else PLAIN),
+        Fact("variant", state.variant.value, state.variant.value == "unknown"),
+        Fact("bus", "up" if state.bus_up else "DOWN", not state.bus_up),
+        Fact("silent", ", ".join(map(plain, state.silent)) or "none", bool(state.silent)),
     ]
 
 
@@ -454,13 +453,13 @@ def health_facts(health: GatewayHealth) -> list[Fact]:
     if health.bus_detail and not health.bus_up:
         bus += f" ({plain(health.bus_detail)})"
     return [
-        Fact("bus", bus, GOOD if health.bus_up else BAD),
-        Fact("frames", f"{health.frames_per_s:.0f}/s, {lost} lost", BAD if lost else PLAIN),
+        Fact("bus", bus),
+        Fact("frames", f"{health.frames_per_s:.0f}/s, {lost} lost"),
         Fact("variant", health.variant.value),
-        Fact("faults", faults or "none", BAD if faults else PLAIN),
+        Fact("faults", faults or "none"),
         Fact("version", plain(health.gateway_version)),
         Fact("up", f"{health.uptime_s:.0f} s"),
-        *([] if health.realtime else [Fact("real-time", "no", BAD)]),
+        *([] if health.realtime else [Fact("real-time", "no")]),
     ]
 
 
@@ -476,9 +475,9 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
     return [
         Fact("arbiter", safety.state.value),
         Fact("driver", plain(safety.lease_holder) or "nobody"),
-        *([Fact("latched", latched, BAD)] if latched else []),
-        *([Fact("stopped by", plain(", ".join(safety.stopped_by)), BAD)] if safety.stopped_by else []),
-        *([Fact("blocked by", blocked, PLAIN if is_idle(blocked_by) else BAD)] if blocked else []),
+        *([Fact("latched", latched, is_bad=True)] if latched else []),
+        *([Fact("stopped by", plain(", ".join(safety.stopped_by)), is_bad=True)] if safety.stopped_by else []),
+        *([Fact("blocked by", blocked, not is_idle(blocked_by))] if blocked else []),
         *([Fact("last stop", stop)] if stop else []),
         *([Fact("limit", f"{safety.speed_limit_mps:.2f} m/s")] if safety.state in COMMANDING else []),
         *([Fact("link", link)] if link else []),
@@ -513,7 +512,7 @@ def _list_line(report: RobotStatus) -> str:
 
 def _is_news(fact: Fact) -> bool:
     """Return True for what is wrong, and no part of what needs attention."""
-    return fact.style == BAD and fact.label not in {"latched", "stopped by"}
+    return fact.is_bad and fact.label not in {"latched", "stopped by"}
 
 
 def _attention(report: RobotStatus) -> list[str]:
@@ -525,57 +524,24 @@ def _attention(report: RobotStatus) -> list[str]:
     return notes if report.health is None else [*notes, *map(plain, report.health.notes)]
 
 
-def panel(report: RobotStatus) -> RenderableType:
-    grid = Table.grid(padding=(0, 2))
-    for _ in range(4):
-        grid.add_column(no_wrap=False)
+def detail_view(report: RobotStatus) -> list[Text]:
+    """Return a robot in the list, then its facts; what is wrong comes first: a small window cuts the rest off."""
+    facts = []
     if report.state is not None:
-        cells = [text for fact in state_facts(report.state) for text in _cells(fact)]
-        for start in range(0, len(cells), 4):
-            grid.add_row(*cells[start : start + 4])
-        top = Text(f"state {report.state_age_s or 0:.2f} s old", style=GOOD)
-    else:
-        top = Text(_offline(report), style=LOUD)
-    # What is wrong comes first: a small window cuts the rest off.
-    safety = [Text(_word(fact), style=fact.style) for fact in safety_facts(report)]
-    newer = [Text(plain(report.newer))] if report.newer else []
-    return Panel(Group(top, _health_text(report), *safety, *newer, grid), title=Text(report.robot), expand=False)
+        age = Fact("age of its state", f"{report.state_age_s or 0:.2f} s")
+        facts = [age, *safety_facts(report), *state_facts(report.state)]
+        facts.sort(key=lambda fact: not fact.is_bad)
+    shown = [Text(f"  {_word(fact)}", style=BAD if fact.is_bad else PLAIN) for fact in facts]
+    return [*list_view([report]), *shown]
 
 
 def _offline(report: RobotStatus) -> str:
     return f"OFFLINE: {alarm(report)}"
 
 
-def _cells(fact: Fact) -> tuple[Text, Text]:
-    return Text(fact.label, style="dim"), Text(fact.text, style=fact.style)
-
-
 def _word(fact: Fact) -> str:
     return fact.text if fact.label in {"speed", "angle"} else f"{fact.label} {fact.text}"
 
 
-def _health_text(report: RobotStatus) -> Text:
-    if report.health is None:
-        age = "yet" if report.health_age_s is None else f"for {report.health_age_s:.1f} s"
-        return Text(f"no health {age}", style=BAD)
-    text = Text()
-    for fact in health_facts(report.health):
-        text.append(f"{fact.label} ", style="dim").append(f"{fact.text}  ", style=fact.style)
-    return text
-
-
 def _number(value: float | None, form: str, unit: str) -> str:
     return NO_VALUE if value is None else f"{value:{form}} {unit}"
-
-
-def _bumpers(state: RobotState, hit: list[str]) -> str:
-    if hit:
-        return " and ".join(hit) + " HIT"
-    return NO_VALUE if state.front_bumper is None or state.rear_bumper is None else "clear"
-
-
-def _lamps(lamps: Iterable[tuple[str, bool | None]]) -> str:
-    values = dict(lamps)
-    if all(value is None for value in values.values()):
-        return NO_VALUE
-    return ", ".join(name for name, on in values.items() if on) or "off"

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
 
 from gateway.client import fleet
 from gateway.client.fleet import (
@@ -282,13 +282,17 @@ def drawn(renderable: RenderableType, width: int = 200) -> str:
     return capture.get()
 
 
+def closely(report: RobotStatus) -> str:
+    return "\n".join(line.plain for line in fleet.detail_view(report))
+
+
 def listed(report: RobotStatus) -> str:
     return "\n".join(line.plain for line in fleet.list_view([report]))
 
 
 def every_view(report: RobotStatus) -> list[str]:
-    """A report as a panel and in the list."""
-    return [drawn(fleet.panel(report)), listed(report)]
+    """A report closely and in the list."""
+    return [closely(report), listed(report)]
 
 
 def of(safety: SafetyState = ENGAGED, **changes: object) -> RobotStatus:
@@ -310,18 +314,18 @@ FAR = msgspec.structs.replace(
     ENGAGED, link_age_s=0.43, link_age_p50_s=0.42, link_age_p99_s=0.81, deadman_s=1.0, travel_delay_m=0.71,
     travel_speed_limit_mps=0.7,
 )  # fmt: skip
-PANEL, ALL = ("panel",), ("panel", "list")
+CLOSE, ALL = ("close",), ("close", "list")
 Row = tuple[RobotStatus, tuple[str, ...], tuple[str, ...], tuple[str, ...]]
 SHOWN: dict[str, Row] = {
     "what a robot does": (
         FRESH,
-        PANEL,
+        CLOSE,
         ("auto", "drive", "+1.25 m/s", "-3.5 deg", "released", "clear", "headlamp", "coarse", "up", "0.04 s"),
         ("OFFLINE",),
     ),
     "row 'travel delay': age, metres and limit of commands that it obeys": (
         of(FAR),
-        PANEL,
+        CLOSE,
         (
             "command latency 430 ms (p99 810 ms), timeout 1000 ms, reaction distance 0.71 m",
             "reaction distance 0.71 m, speed limit 0.70 m/s",
@@ -338,25 +342,25 @@ SHOWN: dict[str, Row] = {
     ),
     "what is latched": (
         of(state=ArbiterState.STANDBY, latched=[Reason.REMOTE_STOP, Reason.ROLLING]),
-        PANEL,
+        CLOSE,
         ("latched remote_stop, rolling",),
         ("limit",),
     ),
-    "the limit in force": (of(speed_limit_mps=0.5), PANEL, ("limit 0.50 m/s",), ("latched",)),
-    "who drives": (of(lease_holder="ann"), PANEL, ("driver ann",), ("blocked",)),
+    "the limit in force": (of(speed_limit_mps=0.5), CLOSE, ("limit 0.50 m/s",), ("latched",)),
+    "who drives": (of(lease_holder="ann"), CLOSE, ("driver ann",), ("blocked",)),
     "why it does not move": (
         of(IDLE),
-        PANEL,
+        CLOSE,
         ("driver nobody", "blocked by no_lease, not_engaged"),
         ("last stop",),
     ),
     "a remote stop is no idling": (
         BUS_LOST,
-        PANEL,
+        CLOSE,
         ("blocked by no_lease, bus_down, not_engaged", "last stop remote_stop (by bob)"),
         (),
     ),
-    "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), PANEL, ("last stop deadman",), ()),
+    "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), CLOSE, ("last stop deadman",), ()),
     "what is wrong with the gateway": (
         msgspec.structs.replace(
             FRESH,
@@ -424,7 +428,7 @@ def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) ->
     """A bumper hit, a bus that is down, silent frames and an unknown variant are never left out."""
     report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
     assert word in listed(report)
-    assert word.split(" ", 1)[1] in drawn(fleet.panel(report))
+    assert word.split(" ", 1)[1] in closely(report)
 
 
 def test_a_value_that_is_not_known_is_no_zero() -> None:
@@ -432,19 +436,19 @@ def test_a_value_that_is_not_known_is_no_zero() -> None:
     unknown = msgspec.structs.replace(
         STATE, speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED, front_bumper=None
     )
-    text = drawn(fleet.panel(msgspec.structs.replace(FRESH, state=unknown)))
-    assert (text.count("--"), "undefined" in text) == (3, True)
+    text = closely(msgspec.structs.replace(FRESH, state=unknown))
+    assert (text.count("--"), "undefined" in text) == (4, True)
 
 
 @given(report=REPORTS)
 def test_any_report_can_be_shown(report: RobotStatus) -> None:
-    """Whatever a robot sends, its lines are printable, and the panel is drawn."""
-    for text in (listed(report), drawn(fleet.panel(report), 80)):
+    """Whatever a robot sends, its lines are printable."""
+    for text in (listed(report), drawn(Group(*fleet.detail_view(report)), 80)):
         assert text.replace("\n", "").isprintable()
 
 
 def test_nothing_is_shown_as_less_than_zero_when_it_rounds_to_zero() -> None:
     """An angle a hair right of straight ahead is shown as zero, not as minus zero."""
     straight = msgspec.structs.replace(STATE, angle_deg=-0.0006, speed_mps=-0.001)
-    text = drawn(fleet.panel(msgspec.structs.replace(FRESH, state=straight)))
+    text = closely(msgspec.structs.replace(FRESH, state=straight))
     assert [one for one in ("+0.00 m/s", "+0.0 deg") if one not in text] == []
