@@ -13,7 +13,6 @@ from gateway.client.fleet import WORDS
 from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.desk_states import desk_of_all_states
 from tests.support.nights import by_night, every_value
-from tests.support.processes.desk import chromium
 from tests.support.rigs.scenarios import front_bumper, recorded
 
 LOG: Final = "needs-reset-20260102T030405Z.mcap"
@@ -27,13 +26,6 @@ CUT: Final = """() => [...document.querySelectorAll(".band, .band *, .why, .why 
     .filter((one) => one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).overflowX !== "visible"
         || one.getBoundingClientRect().right > innerWidth)
     .map((one) => one.outerHTML)"""
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has a context of its own."""
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,6 @@ from tests.support.nights import by_night
 from tests.support.processes.desk import (
     ATTEMPTS,
     DeskScene,
-    chromium,
     desk_scene,
     drive,
     is_driven,
@@ -39,13 +38,6 @@ from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_f
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.provisioning import run as provision
 from tests.support.waiting import wait_until
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has a context of its own."""
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture
@@ -317,7 +309,6 @@ def test_two_browsers_never_drive_one_robot(scene: DeskScene, context: BrowserCo
 
 
 def name_page(page: Page, name: str) -> None:
-    """Say who commands from this page, in open mode."""
     page.get_by_label("Your name").fill(name)
     page.get_by_label("Your name").blur()
 
@@ -395,7 +386,6 @@ def test_a_kiosk_shows_one_robot_and_leads_nowhere(scene: DeskScene, context: Br
 
 @pytest.fixture
 def signed(tmp_path: Path) -> Iterator[tuple[DeskScene, ProvisionedFleet]]:
-    """A robot in signed mode, and who lets people in."""
     fleet = ProvisionedFleet(tmp_path)
     directory = fleet.let_in("robot", "cruiser-1")
     settings = tmp_path / "robot.toml"
@@ -531,7 +521,6 @@ def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
 
 
 def ask(address: str, path: str = "/", **headers: str) -> http.client.HTTPResponse:
-    """A request without a browser."""
     place = urlparse(address)
     with closing(http.client.HTTPConnection(str(place.hostname), place.port, timeout=30)) as connection:
         connection.request("GET", path, headers=headers)
@@ -540,7 +529,6 @@ def ask(address: str, path: str = "/", **headers: str) -> http.client.HTTPRespon
 
 
 def upgrade(origin: str, host: str) -> dict[str, str]:
-    """The headers of a WebSocket's beginning."""
     return {
         "Origin": origin,
         "Host": host,

@@ -2,13 +2,12 @@
 
 import re
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot
+from tests.support.processes.desk import DeskScene, desk_scene, drive, open_robot
 from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
@@ -17,13 +16,6 @@ LOST = re.compile(
 )
 LONG_S = 4.0
 """The page goes on saying so, with the time; long enough for the desk and Zenoh to give each other up."""
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has a context of its own."""
-    with chromium() as running:
-        yield running
 
 
 def lost_s(page: Page) -> float:
@@ -43,7 +35,6 @@ def assert_nothing_old_is_shown(page: Page) -> None:
 
 
 def victim(scene: DeskScene, name: str) -> Running:
-    """A process of the scene."""
     running = getattr(scene, name)
     assert isinstance(running, Running)
     return running

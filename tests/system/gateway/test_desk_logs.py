@@ -22,7 +22,7 @@ from tests.support.axe import assert_fits_a_small_phone, assert_for_everybody
 from tests.support.drives import HOSTILE, drive_messages, write_messages
 from tests.support.messages import event
 from tests.support.nights import every_value
-from tests.support.processes.desk import chromium, desk_scene, drive, is_driven, open_robot
+from tests.support.processes.desk import desk_scene, drive, is_driven, open_robot
 from tests.support.processes.gateway import Running
 from tests.support.rigs.scenarios import front_bumper, recorded
 from tests.support.waiting import wait_until
@@ -43,13 +43,6 @@ ANSWER_MS: Final = 100_000
 
 QUESTIONS_S: Final = 500.0
 """Hostile and large logs take their time, beside everything else, which comes first."""
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    """One Chromium for all tests; each has a context of its own."""
-    with chromium() as running:
-        yield running
 
 
 @contextmanager
@@ -94,7 +87,6 @@ def address(directory: Path) -> Iterator[str]:
 
 
 def ask(address: str, path: str, **headers: str) -> int:
-    """The status of an answer, once all of it has come."""
     with closing(http.client.HTTPConnection(urlparse(address).netloc, timeout=QUESTIONS_S)) as connection:
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
@@ -154,7 +146,6 @@ class _Elsewhere(BaseHTTPRequestHandler):
 
 @contextmanager
 def elsewhere() -> Iterator[str]:
-    """The origin of another site."""
     server = HTTPServer(("127.0.0.1", 0), _Elsewhere)
     serving = threading.Thread(target=server.serve_forever)
     serving.start()
@@ -200,7 +191,6 @@ def test_a_viewer_opens_a_log_by_its_address_and_no_other_site_does(
 
 
 def home(page: Page, address: str) -> None:
-    """Incidents, and the newest logs."""
     page.goto(address)
     page.locator("section[aria-label] tbody tr").first.wait_for()
 
@@ -251,7 +241,6 @@ def test_a_robot_leads_to_its_logs_also_to_the_one_that_is_being_written(
 
 
 def children(pid: int) -> int:
-    """The number of processes that a process has started."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     return sum(len((task / "children").read_text("ascii").split()) for task in tasks)
 

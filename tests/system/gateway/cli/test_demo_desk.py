@@ -25,7 +25,6 @@ TWO = ["cruiser-1", "cruiser-2"]
 
 
 def descendants(pid: int) -> set[int]:
-    """The processes that this one has started, and those that these have."""
     parents = {}
     for place in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):

@@ -62,12 +62,10 @@ def port() -> Iterator[int]:
 
 
 def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
-    """A connection of an address of this machine."""
     return socket.create_connection(("127.0.0.1", port), LONG_S, source_address=(source, 0))
 
 
 def link(port: int) -> socket.socket:
-    """A WebSocket that is open."""
     opened = connect(port)
     opened.sendall(UPGRADE)
     assert b" 101 " in until(opened, b"\r\n\r\n")

@@ -15,7 +15,6 @@ from tests.support.rigs.scenarios import front_bumper, recorded
 
 
 def children() -> set[str]:
-    """The processes that this one has started."""
     return {
         child for task in Path("/proc/self/task").iterdir() for child in (task / "children").read_text().split()
     }

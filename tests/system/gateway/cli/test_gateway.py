@@ -69,7 +69,6 @@ class Listener:
         raise AssertionError("nobody replied")
 
     def ask(self, verb: str, **fields: object) -> dict[str, Any]:
-        """The reply to a verb of first's."""
         key = f"fleet/cruiser-1/@cmd/first/{verb}"
         for reply in self.session.get(key, payload=msgpack.packb(fields), timeout=10):
             assert reply.ok is not None
@@ -78,12 +77,10 @@ class Listener:
         raise AssertionError("nobody replied")
 
     def stop(self, robot: str) -> None:
-        """The remote stop; hears what has come since the last one."""
         self.session.put(f"fleet/{robot}/@cmd/first/stop", b"")
         self.hear()
 
     def count(self, condition: Callable[[str, dict[str, Any]], bool]) -> int:
-        """How many of the messages heard so far are such."""
         return sum(condition(key, message) for key, message in self.heard)
 
     def close(self) -> None:
@@ -259,7 +256,6 @@ def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyP
 
 @contextmanager
 def operated(address: str, operator: str = "first") -> Iterator[tuple[Running, Robot]]:
-    """A gateway on this bus, and an operator who is connected to it."""
     endpoint = free_endpoint()
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with gateway(address, endpoint) as running, Robot.connect("cruiser-1", operator, settings, 30) as robot:
@@ -328,7 +324,6 @@ def guard_latch(robot: Robot) -> SafetyEvent:
 
 
 def is_free(robot: Robot) -> bool:
-    """A gateway that began with nothing latched."""
     ready = robot.wait_for(lambda state: state.blocked_by == [Reason.NO_LEASE, Reason.NOT_ENGAGED], 30)
     return ready and robot.state().state.latched == []
 

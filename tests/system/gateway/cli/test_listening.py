@@ -29,7 +29,6 @@ def port_of(endpoint: str) -> int:
 
 
 def sockets(endpoints: list[str]) -> set[str]:
-    """What the kernel says of a process that listens on these."""
     return {endpoint.partition("/")[2] for endpoint in endpoints}
 
 
@@ -48,7 +47,6 @@ def info_of(connect: str) -> GatewayInfo:
 
 
 def stop_at(connect: str, *words: str) -> None:
-    """Stop the robot with ``cruiser stop``."""
     wait_for_chassis(connect, *words)
     done = run(["stop", "cruiser-1", "--connect", connect, *words])
     assert done.returncode == ExitCode.OK, done.stderr
@@ -67,7 +65,6 @@ def dialling(*words: str) -> Iterator[Running]:
 
 @contextmanager
 def router(config: str = "", protocol: str = "tcp", host: str = "127.0.0.1") -> Iterator[str]:
-    """A Zenoh router, by what it is connected to."""
     endpoint = f"{protocol}/{host}:{port_of(free_endpoint())}"
     settings = msgspec.structs.replace(ZenohSettings(config=config, given=frozenset({"mode"})), mode="router")
     session = open_session(settings, [], [endpoint])

@@ -37,7 +37,6 @@ RECORDER_UP = ("cruiser_recorder_up", "recorder", "depot")
 
 
 def scrape(address: str) -> dict[tuple[str, str, str], float]:
-    """The values by name and the first label."""
     with urllib.request.urlopen(address, timeout=10) as answer:  # noqa: S310 - it begins with http
         text = answer.read().decode()
     return {
@@ -131,7 +130,6 @@ def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:
 
 
 def certificate_end(file: Path) -> int:
-    """When a certificate ends, seconds since 1970."""
     return expires_s(read_certificates(file.read_text())[0])
 
 

@@ -16,12 +16,10 @@ from tests.support.waiting import nothing
 
 @pytest.fixture
 def router(tmp_path: Path) -> Path:
-    """A router's directory, and its endpoint in its file."""
     return Network(tmp_path, free_endpoint().replace("tcp", "tls")).node(TransportRole.ROUTER, "127.0.0.1")
 
 
 def said(*words: str | Path, command: str = "router") -> tuple[int, str]:
-    """Exit code, and what is said."""
     done = run([command, *map(str, words)])
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr

@@ -24,7 +24,6 @@ ENCODER = Encoder(load(Variant.COARSE))
 
 
 def bus_at(address: str) -> can.BusABC:
-    """A client of python-can's own."""
     host, _, port = address.rpartition(":")
     return can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
 

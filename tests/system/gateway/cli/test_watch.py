@@ -19,15 +19,12 @@ Capture = pytest.CaptureFixture[str]
 
 
 def watch(endpoint: str, *words: str, stopped: Callable[[], bool]) -> int:
-    """Run the command in this process."""
     return run_command(
         watch_command, *words, settings=Settings(zenoh=ZenohSettings(connect=[endpoint])), stopped=stopped
     )
 
 
 class Output:
-    """Everything that was written until now."""
-
     def __init__(self, capture: Capture) -> None:
         self._capture = capture
         self.text = ""

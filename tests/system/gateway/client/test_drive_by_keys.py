@@ -83,7 +83,6 @@ class Driver:
         wait_until(lambda: text.encode() in self.seen)
 
     def hang_up(self) -> None:
-        """The terminal's window is closed."""
         self._ended.set()
         self._thread.join()
         os.close(self._master)

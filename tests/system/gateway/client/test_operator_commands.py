@@ -33,7 +33,6 @@ STOPPED = "cruiser-1: stops, latched until a reset"
 
 
 def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = lambda: False) -> int:
-    """Run a command in this process, as first."""
     parser = argparse.ArgumentParser()
     module.add_arguments(parser)  # type: ignore[attr-defined]  # each is a command's module
     if module is not watch:

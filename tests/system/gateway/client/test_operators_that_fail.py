@@ -77,7 +77,6 @@ class Scene:
 
 @contextmanager
 def driven() -> Iterator[Scene]:
-    """A robot that is driven at 0.6 m/s."""
     with ExitStack() as stack:
         yield Scene(stack)
 

@@ -47,7 +47,6 @@ class Scene:
         return StopReport(["cruiser-1"], {}, {"cruiser-2": "its speed is not seen"}, ["cruiser-3"], linked=True)
 
     def step(self, *messages: Message, seconds: float = 0.25) -> None:
-        """Robots publish, and time goes on."""
         self.listener.waiting += map(received, messages)
         self.now_ns += round(seconds * SECOND)
         self.hub.step(self.now_ns)
@@ -57,7 +56,6 @@ class Scene:
 
 
 def told(browser: Browser, kind: type) -> list[Any]:
-    """What a browser was told of a kind; the rest is forgotten."""
     return [one for one in browser.outbox.take() if isinstance(one, kind)]
 
 
@@ -363,8 +361,6 @@ def test_no_browser_asks_several_robots_at_once(robot: str) -> None:
 
 
 class FakeSocket:
-    """A browser that is silent until it is cut off."""
-
     def __init__(self) -> None:
         self.closed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 

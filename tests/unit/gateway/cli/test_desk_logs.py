@@ -22,7 +22,6 @@ FOXGLOVE = "https://app.foxglove.dev"
 
 @pytest.fixture
 def app(tmp_path: Path) -> Iterator[Starlette]:
-    """A desk of a directory with one log, which a viewer may read."""
     (tmp_path / "a.mcap").write_bytes(b"0123456789")
     with closing(DeskLogs.open(str(tmp_path), [f"{FOXGLOVE}/~/view"])) as logs:
         yield make_logs_app(logs, ["127.0.0.1"])

@@ -74,7 +74,6 @@ def test_what_begins_a_sequence_and_does_not_go_on_is_a_key() -> None:
 
 
 def repeating_w() -> HeldKeys:
-    """A terminal in which w is held and has begun to repeat."""
     keys = HeldKeys()
     keys.receive(["w"], START_NS - 500 * MS)
     keys.receive(["w"], START_NS)

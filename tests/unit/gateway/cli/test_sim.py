@@ -57,8 +57,6 @@ class FakeLink:
 
 
 class Bench:
-    """A run with everything of the test's own."""
-
     def __init__(self) -> None:
         self.clock = FakeClock()
         self.link = FakeLink(self.clock)
@@ -122,8 +120,6 @@ def test_it_stops_when_told() -> None:
 
 
 class FakeBus:
-    """A bus of python-can, as the port shows it."""
-
     def __init__(self, *frames: Frame) -> None:
         self.frames = list(frames)
         self.drops = 0

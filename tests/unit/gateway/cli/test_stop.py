@@ -24,8 +24,6 @@ from tests.support.messages import HEALTH, ROBOT, SECOND, STANDBY, WALL_NS, safe
 
 
 def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
-    """Run the command, whose stop ends so."""
-
     def stop_from_here(*_: object, told: Callable[[StopReport], None] | None) -> StopReport:
         if told is not None:
             told(report)

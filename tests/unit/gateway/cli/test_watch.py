@@ -27,8 +27,6 @@ class FakeClock:
 
 
 class SilentListener(RobotListener):
-    """A listener that hears nothing."""
-
     def __init__(self) -> None:
         pass
 

@@ -275,7 +275,6 @@ REPORTS = st.builds(
 
 
 def drawn(renderable: RenderableType, width: int = 200) -> str:
-    """What a terminal of this width shows."""
     console = Console(file=io.StringIO(), width=width, color_system=None, force_terminal=False)
     with console.capture() as capture:
         console.print(renderable)
@@ -291,12 +290,10 @@ def listed(report: RobotStatus) -> str:
 
 
 def every_view(report: RobotStatus) -> list[str]:
-    """A report closely and in the list."""
     return [closely(report), listed(report)]
 
 
 def of(safety: SafetyState = ENGAGED, **changes: object) -> RobotStatus:
-    """A report of a robot whose arbiter says this, but for the changes."""
     return msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(safety, **changes))
 
 

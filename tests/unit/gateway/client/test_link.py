@@ -53,14 +53,12 @@ def goes_on_to_see(stream: DriveStream, state: SafetyState) -> None:
 
 
 def commanded(stream: DriveStream, now_ns: int = START_NS) -> Drive:
-    """What is sent; something is."""
     command = stream.command(now_ns)
     assert command is not None
     return command
 
 
 def driven(speed_mps: float = 1.0, angle_deg: float = 0.0, hold_s: float = 0.5) -> DriveStream:
-    """A stream of an engaged robot that drives so."""
     stream = stream_that_saw(ENGAGED)
     stream.aim(SetPoint(speed_mps, angle_deg=angle_deg), hold_s, START_NS)
     return stream
@@ -381,8 +379,6 @@ FORGED_STATE = msgspec.structs.replace(STATE, speed_mps=0.0)
 
 
 class FakePort:
-    """Samples that come in one batch; commands go nowhere."""
-
     def __init__(self, batch: Sequence[Received | Missed]) -> None:
         self.batch = batch
 
@@ -459,7 +455,6 @@ class FakeProof:
 
 
 def asked(door: Any, request: Request, timeout_s: float = 5.0) -> Any:  # noqa: ANN401 - a fake, a reply
-    """What becomes of a request."""
     proof: Any = FakeProof()
     with closing(RobotLink(door, door, "cruiser-1", proof)) as opened:
         wait_until(lambda: opened.is_heard)

@@ -30,7 +30,6 @@ MS = 1_000_000
 
 
 def read(evidence: Evidence, *times_ms: int) -> bool:
-    """Samples that were read then."""
     for time_ms in times_ms:
         evidence.add(time_ms * MS)
     return evidence.is_enough
@@ -74,8 +73,6 @@ STATE = "fleet/cruiser-1/safety/state"
 
 
 class FakeQuery:
-    """A query whose replies are put here."""
-
     def __init__(self) -> None:
         self.replies: list[Received] = []
         self.is_over = False
@@ -86,8 +83,6 @@ class FakeQuery:
 
 
 class FakePort:
-    """Keeps what is asked and sent."""
-
     def __init__(self) -> None:
         self.asked: list[tuple[bytes, bytes, FakeQuery]] = []
         self.sent: list[tuple[str, str, bytes, bytes]] = []
@@ -118,14 +113,12 @@ class Scene:
         return RobotSigner(self.robot.private, boot)
 
     def reply(self, question: bytes, boot: bytes = b"boot no1") -> Received:
-        """The robot's reply to a statement."""
         said = StatementReply(ok=True, reason=Reason.NONE, detail="", cure="", own=chain_text(self.robot.chain))
         payload, key = msgspec.msgpack.encode(said), "fleet/cruiser-1/@auth"
         attachment = self.signer(boot).reply(key, STATEMENT_REPLY_ENCODING, payload, question)
         return Received(key, STATEMENT_REPLY_ENCODING, payload, attachment)
 
     def state(self, sequence: int, boot: bytes = b"boot no1") -> Received:
-        """A state of the robot."""
         encoding, payload = BY_NAME["safety/state"].encoding, msgspec.msgpack.encode({"sequence": sequence})
         return Received(STATE, encoding, payload, self.signer(boot).publication(STATE, encoding, payload))
 

@@ -33,7 +33,6 @@ class Scene:
             self.view.receive(received(message))
 
     def step(self, seconds: float = 0.2) -> dict[str, RobotRow | None]:
-        """Time goes on. Returns the rows that have changed."""
         self.now_ns += round(seconds * SECOND)
         self.view.update(self.now_ns, linked=True)
         rows, self.recorders = self.view.changed_rows(self.now_ns)

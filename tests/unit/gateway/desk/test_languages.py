@@ -23,13 +23,11 @@ HAN = re.compile(r"[\u4e00-\u9fff]")
 
 
 def table(name: str) -> str:
-    """A table of the Chinese words."""
     [rows] = re.findall(rf"^  {name}: [{{\[]\n(.*?)^  [}}\]],$", CHINESE, flags=re.DOTALL | re.MULTILINE)
     return str(rows)
 
 
 def texts(language: str) -> dict[str, str]:
-    """The texts of a language that have a name of their own."""
     return dict(re.findall(r"\b(\w+): \"([^\"]*)\"", language.partition("  word: {")[0]))
 
 

@@ -32,7 +32,6 @@ ASK = {
 
 
 def said(message: object) -> words.FromBrowser:
-    """A message as a browser packs it."""
     return words.decode(msgspec.msgpack.encode(message))
 
 
@@ -89,12 +88,10 @@ ROW = RobotRow(0, "ready", "", "", 0.0, 1.0, None, 0, "", 0)
 
 
 def sample(number: int) -> DeskSample:
-    """A sample of the robot that is shown closely."""
     return DeskSample("state", "fleet/cruiser-1/state", "", bytes([number % 256]), b"")
 
 
 def rows_of(messages: list[ToBrowser]) -> DeskRows:
-    """The rows among what is sent."""
     (rows,) = (one for one in messages if isinstance(one, DeskRows))
     return rows
 
