@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -38,6 +39,7 @@ from gateway.provisioning.key_files import new_request as new_csr
 from schemas.authority.proof import GrantRole, chain_text
 from schemas.authority.trust import AuthorityKeys, keys_fingerprint
 from schemas.subjects import COMMANDS
+from tests.support.access import PUTS, QUERIES, ROBOTS, ROLES, SUBSCRIPTIONS, TOKENS, R
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {
@@ -294,6 +296,14 @@ def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
     assert all(subject["cert_common_names"] for subject in access["subjects"])
     assert {rule["permission"] for rule in access["rules"]} == {"allow"}
     assert all(rule["key_exprs"] and rule["messages"] and rule["flows"] for rule in access["rules"])
+    rows = {row.id: row for row in access_table("fleet", "cruiser-1" if role is TransportRole.ROBOT else "*")}
+    # At the other end of a link its flows are turned.
+    turned = {} if role is TransportRole.ROUTER else {"ingress": "egress", "egress": "ingress"}
+    for rule in access["rules"]:
+        row = rows[rule["id"]]
+        assert rule["flows"] == [turned.get(row.flow, row.flow)]
+        assert (rule["messages"], rule["key_exprs"]) == (list(row.messages), list(dict.fromkeys(row.keys)))
+        assert role is TransportRole.ROUTER or role in row.roles
     used = {name for policy in access["policies"] for name in policy["rules"]}
     assert used == {rule["id"] for rule in access["rules"]}
     assert {name for policy in access["policies"] for name in policy["subjects"]} == {
@@ -366,3 +376,40 @@ def test_an_endpoint_without_certificates_is_refused(endpoints: list[str]) -> No
     """Plain TCP in a provisioned file would let anybody in."""
     with pytest.raises(ValueError, match=r"tls|no endpoint"):
         zenoh_configuration(TransportRole.ROBOT, "fleet", DIRECTORY, endpoints, "cruiser-1")
+
+
+def who_may(flow: str, message: str, key: str) -> set[str]:
+    """The parties of the oracle whose message passes the router, by Zenoh's own key expressions."""
+    rows = [row for row in access_table("fleet") if row.flow == flow and message in row.messages]
+    return {
+        name for name, role in ROLES.items() if any(role in row.roles and _includes(row.keys, key) for row in rows)
+    }
+
+
+def _includes(expressions: Iterable[str], key: str) -> bool:
+    return any(zenoh.KeyExpr(one).includes(zenoh.KeyExpr(key)) for one in expressions)
+
+
+def test_the_table_is_the_oracle_of_the_tests_through_a_real_router() -> None:
+    """Who may put, ask and subscribe, whose token is seen, and what comes to the robot and back."""
+    assert {key: who_may("ingress", "put", key) for key in PUTS} == PUTS
+    assert {key: who_may("ingress", "declare_subscriber", key) for key in SUBSCRIPTIONS} == SUBSCRIPTIONS
+    assert {key: who_may("ingress", "liveliness_token", key) for key in TOKENS} == TOKENS
+    assert not any(who_may("ingress", "delete", key) for key in PUTS)
+    own = [row for row in access_table("fleet", "cruiser-1") if TransportRole.ROBOT in row.roles]
+    for key, askers in QUERIES.items():
+        # Whoever is asked as one of many replies under its own name.
+        reply = re.sub(r"^fleet/c?\$?\*/", f"{R}/", key)
+        reaches = any("query" in row.messages and row.flow == "egress" and _includes(row.keys, key) for row in own)
+        replies = any(
+            "reply" in row.messages and row.flow == "ingress" and _includes(row.keys, reply) for row in own
+        )
+        answered = who_may("ingress", "query", key) & who_may("egress", "reply", reply)
+        # The router does not know robots' names: each may ask for its own.
+        robots = ROBOTS if key.endswith("gateway/info") else set()
+        assert (answered if reaches and replies else set()) | robots == askers | robots, key
+    for key, said_by in TOKENS.items():
+        for message, flow in (("liveliness_query", "ingress"), ("liveliness_token", "egress")):
+            assert ({"recorder", "operator"} <= who_may(flow, message, key)) == bool(said_by)
+    names = [row.id for row in access_table("fleet")]
+    assert len(set(names)) == len(names)

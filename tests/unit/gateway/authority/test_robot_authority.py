@@ -60,7 +60,12 @@ def test_grants_that_are_taken_over_are_published_once() -> None:
     bench.takes(ann, ann)
     assert statements(bench.tick()) == [ann]
     assert statements(bench.tick()) == []
-    assert bench.own in statements(bench.tick(61 * S))
+    published = signed_statements(bench.tick(61 * S))
+    assert bench.own in [one.text for one in published]
+    first = published[0].sequence
+    bench.takes(bench.chain_of("bob"))
+    published += signed_statements(bench.tick())
+    assert [one.sequence for one in published] == [first + step for step in range(len(published))]
 
 
 def test_a_list_of_revocations_is_in_force_at_once_and_kept() -> None:
@@ -243,6 +248,8 @@ def test_the_floor_of_time_outlives_a_restart() -> None:
     effects = bench.tick()
     assert effects.kept is not None
     assert effects.kept.floor_s >= NOW_S + HOUR // S
+    # Once; the floor alone each minute.
+    assert [bench.tick(after).kept is None for after in (10_000_000, 61 * S, 10_000_000)] == [True, False, True]
     again = AuthorityBench(bench.fleet, effects.kept)
     again.wall_s = 0
     again.tick()
