@@ -505,6 +505,16 @@ def test_a_log_is_safe_without_its_row(
     assert [said in one for one in told] == [True] * bool(said)
 
 
+def test_rows_do_not_wait_one_by_one_for_a_store_that_is_gone(tmp_path: Path, store: FakeLogStore) -> None:
+    """Two are tried, and the others when it is back."""
+    for number in range(AWAY_AFTER + 2):
+        saved(tmp_path / f"cruiser-1-20270115T08000{number}Z.mcap", log_of(number + 1))
+    rows = Rows()
+    rows.meanwhile = lambda: setattr(store, "is_gone", True)
+    assert upload(tmp_path, store, rows).uploaded == AWAY_AFTER + 2
+    assert len(rows.made) == AWAY_AFTER
+
+
 @pytest.mark.usefixtures("_quick_disk")
 @pytest.mark.parametrize("size", [1, READ_BYTES + 1, PART_BYTES, PART_BYTES + 1, 2 * PART_BYTES])
 def test_the_checksums_are_those_of_the_stores(tmp_path: Path, size: int) -> None:
