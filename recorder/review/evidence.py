@@ -30,7 +30,6 @@ from schemas.messages import (
     Body,
     Drive,
     GatewayHealth,
-    Mode,
     RobotState,
     Steering,
     WheelSpeed,
@@ -68,9 +67,8 @@ _REQUESTS: Final = "the requests of this time, or some of them"
 # Frames of the chassis.
 
 
-def _turned(signal: str, value: int, field: str, wanted: object) -> Finder:
-    """The first of the last frames of the body that have this value; decoded ones, if no raw one is there."""
-    word = wanted.value if isinstance(wanted, Mode) else value
+def _turned(signal: str, value: int, word: str = "") -> Finder:
+    """The first of the last frames of the body that have this value."""
 
     def found(window: EvidenceWindow) -> list[Link]:
         first: DecodedFrame | None = None
@@ -83,8 +81,8 @@ def _turned(signal: str, value: int, field: str, wanted: object) -> Finder:
                 was = f"; the last one that did not, {window.ago(frame.time_ns)}, said {read:g}"
                 break
         if first is None:
-            return _decoded(window, field, wanted)
-        text = f"frame {first} said {signal} = {word}, {window.ago(first.time_ns)}{_waited(first)}{was}"
+            return [missing("the frame of the body that shows it")]
+        text = f"frame {first} said {signal} = {word or value}, {window.ago(first.time_ns)}{_waited(first)}{was}"
         before_ms = (window.at_ns - first.time_ns) / 1e6
         data = {"bytes": first.data.hex(), "signal": signal, "value": value, "before_ms": before_ms}
         return [evidence(text, first.time_ns, identifier=f"0x{first.identifier:08X}", **data)]
@@ -92,22 +90,9 @@ def _turned(signal: str, value: int, field: str, wanted: object) -> Finder:
     return found
 
 
-def _decoded(window: EvidenceWindow, field: str, wanted: object) -> list[Link]:
-    first: Heard[Body] | None = None
-    for one in window.until(Body):
-        if getattr(one.said, field) != wanted:
-            break
-        first = one
-    if first is None:
-        return [missing("the frame of the body that shows it")]
-    word = wanted.value if isinstance(wanted, Mode) else wanted
-    text = f"chassis/body said {field} = {word}, {window.ago(first.time_ns)}"
-    return [evidence(text, first.time_ns, signal=field, before_ms=(window.at_ns - first.time_ns) / 1e6)]
-
-
-_AUTO: Final = _turned("Mode", 0, "mode", Mode.AUTO)
-_REMOTE: Final = _turned("Mode", 1, "mode", Mode.REMOTE)
-_STOP: Final = _turned("Mode", 2, "mode", Mode.STOP)
+_AUTO: Final = _turned("Mode", 0, "auto")
+_REMOTE: Final = _turned("Mode", 1, "remote")
+_STOP: Final = _turned("Mode", 2, "stop")
 
 
 def _frames(window: EvidenceWindow) -> list[Link]:
@@ -526,8 +511,8 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.VARIANT_UNKNOWN: _health("variant"),
     Reason.HAND_TRANSMITTER: _REMOTE,
     Reason.MODE_NOT_AUTO: _STOP,
-    Reason.FRONT_BUMPER: _turned("FrontBumper", 1, "front_bumper", wanted=True),
-    Reason.REAR_BUMPER: _turned("RearBumper", 1, "rear_bumper", wanted=True),
+    Reason.FRONT_BUMPER: _turned("FrontBumper", 1),
+    Reason.REAR_BUMPER: _turned("RearBumper", 1),
     Reason.IMPLAUSIBLE_SPEED: _implausible,
     Reason.NOT_MOVING: _speeds,
     Reason.BRAKE_SLIPS: _speeds,

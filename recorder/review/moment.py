@@ -209,7 +209,7 @@ def _stood(speed_mps: float) -> str:
     return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
 
 
-def arbiter(now: EvidenceWindow, state: SafetyState | None, lease: Entry | None) -> Link:
+def arbiter(state: SafetyState | None) -> Link:
     """The state of the arbiter, and the holder of the lease."""
     if state is None:
         return missing("the arbiter's state at this moment")
@@ -220,8 +220,7 @@ def arbiter(now: EvidenceWindow, state: SafetyState | None, lease: Entry | None)
         text += f"; {state.lease_holder} held the lease as {state.lease_role.value}"
         text += f", for {state.lease_expires_s:.1f} s more"
     else:
-        since = "" if lease is None else f" ({before(lease.time_ns, now.at_ns)}: {lease.text})"
-        text += f"; the lease was free{since}"
+        text += "; the lease was free"
     if state.state in COMMANDING:
         text += f"; the speed limit was {state.speed_limit_mps:.2f} m/s"
     data = {
@@ -351,7 +350,6 @@ _TELLS: Final = ENDS | {
     EntryKind.RESET,
     EntryKind.STOPPED,
     EntryKind.ENGAGED,
-    EntryKind.LEASE,
     EntryKind.GATEWAY,
     EntryKind.CLOCK,
 }
@@ -489,10 +487,6 @@ class Story:
         """The last latch for this reason up to a time."""
         latches = (one for one in self.before(at_ns) if one.kind is EntryKind.LATCH)
         return next((one for one in latches if one.reason is reason), None)
-
-    def lease_before(self, at_ns: int) -> Entry | None:
-        """The last that became of the lease up to a time."""
-        return next((one for one in self.before(at_ns) if one.kind is EntryKind.LEASE), None)
 
     def reset_of(self, latch: Entry) -> Entry | None:
         """The first reset of what was latched, in the run in which it was."""

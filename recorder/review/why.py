@@ -237,8 +237,7 @@ class _Answer:
     def explanation(self) -> Explanation:
         """The answer."""
         now, state, focus, silence = self._now, self._state, self._focus, self._silence
-        lease = self._story.lease_before(now.at_ns)
-        links = [moment.motion(now), moment.arbiter(now, state, lease), *self._command()]
+        links = [moment.motion(now), moment.arbiter(state), *self._command()]
         if silence is not None:
             links += self._silent(silence)
         frames = self._frames_of_guard()

@@ -30,16 +30,16 @@ SPANS_MAX: Final = 600
 PLACES_MAX: Final = 4000
 
 LINES: Final = (
-    "speed_mps",
+    "speed_limit_mps",
     "target_speed_mps",
     "output_speed_mps",
-    "speed_limit_mps",
-    "angle_deg",
+    "speed_mps",
+    "steering_limit_deg",
     "target_angle_deg",
     "output_angle_deg",
-    "steering_limit_deg",
+    "angle_deg",
 )
-"""Values that are drawn over time: measured ones of ``state``, commanded ones of ``safety/state``."""
+"""Values that are drawn over time, in the order of ``page.js``: measured, or of ``safety/state``."""
 
 BANDS: Final = ("mode", "arbiter", "lease")
 """The chassis's mode, the arbiter's state, and the holder of the lease."""
@@ -460,11 +460,8 @@ def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
     """The robot, line by line."""
     summary = robot.summary
     return [
-        ("Robot", f"{summary.name}, keys {summary.key}/"),
         ("When", f"{_from_to(summary.start_ns, summary.end_ns)}"),
         ("Distance", _distance(summary)),
-        ("Stops", stops_by(summary.stops)),
-        ("Normal ends", _counts(summary.ends) or "none"),
         ("Worst moment", _worst(summary.worst)),
         ("Gateway", joined(map(_outage, summary.outages)) or "no outage"),
         (
@@ -537,10 +534,6 @@ def _versions(robot: RobotSummary) -> str:
     if len(robot.in_force) > 1:
         said.append(f"{counted(len(robot.in_force) - 1, 'later gateway')}, see below")
     return ", ".join(said) or ABSENT
-
-
-def _counts(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {reason_words(name)}" for name, count in counts.items())
 
 
 def moment_words(moment: Entry) -> str:

@@ -2,7 +2,7 @@
 // Draws the charts in the colours of the page, plays the drives on them, and shows the moment of the address:
 // report.html#t=2026-01-02T03:04:05.678Z, with &robot=NAME where there are several.
 (function () {
-  const { looks, drives } = JSON.parse(document.getElementById("charts").textContent);
+  const { drives } = JSON.parse(document.getElementById("charts").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const phone = window.matchMedia("(max-width: 40rem)");
   const note = document.getElementById("note");
@@ -20,6 +20,38 @@
   const ZOOM_M = 0.5; // and the shortest way
   const DRAG_PX = 4; // a shorter drag is a click
   const MARGIN = 0.02; // part of its time by which the whole reaches beyond it
+
+  const [BLUE, ORANGE, GREEN, RED] = ["#3987e5", "#e08a1e", "#199e70", "#e0524d"];
+  const [VIOLET, GREY, OLIVE] = ["#9085e9", "#8a8f98", "#b5a000"];
+  const COLOURS = { auto: GREEN, remote: VIOLET, stop: GREY, standby: GREY, engaging: OLIVE, engaged: GREEN, stopping: RED };
+  const PALETTE = [BLUE, ORANGE, VIOLET, OLIVE, GREEN]; // other values of a band take their turns of it
+  const [SQUARE, DIAMOND, CIRCLE] = ["M-1-1H1V1H-1Z", "M0-1 1 0 0 1-1 0Z", "M-1 0A1 1 0 1 1 1 0 1 1 0 1 1-1 0Z"];
+  const [OPEN, ON_MAP] = [{ is_open: true }, { is_on_map: true }]; // the outline alone is drawn; it is shown on the path, too
+  const look = (path, colour, ...more) => Object.assign({ path, colour, radius: 5.5 }, ...more);
+  const MARKS = { // the outlines differ too, for people who cannot distinguish colours
+    stop: look(SQUARE, RED, ON_MAP),
+    latch: look(DIAMOND, RED, OPEN, ON_MAP, { radius: 10 }), // it comes with a stop, and is drawn around it
+    fault: look("M-1-1 1 1M1-1-1 1", ORANGE, OPEN, ON_MAP),
+    guard: look("M0-1.2.3-.4 1.2-.4.5.2.7 1.1 0 .6-.7 1.1-.5.2-1.2-.4-.3-.4Z", RED, ON_MAP),
+    takeover: look("M0-1 1 1H-1Z", VIOLET, ON_MAP),
+    lease: look(CIRCLE, BLUE, OPEN),
+    engaged: look(CIRCLE, GREEN),
+    stopped: look(SQUARE, GREY, OPEN),
+    end: look(SQUARE, GREY),
+    reset: look(DIAMOND, BLUE, OPEN),
+    gateway: look("M0-1V1M-1 0H1", RED, OPEN, ON_MAP),
+    gap: look("M0-1V1", RED, OPEN, ON_MAP),
+    clock: look("M0-1.3.6 0 0 1.3-.6 0Z", ORANGE),
+    recorder: look("M0-1 1-.2.6 1H-.6L-1-.2Z", GREY, OPEN),
+  };
+  const ENDS = { begin: look(CIRCLE, GREEN, { radius: 6.5 }), end: look(CIRCLE, GREEN, OPEN, { radius: 6.5 }) }; // of the path
+  const BANDS = ["mode", "arbiter", "lease"];
+  const [LIMIT, REQUESTED] = [{ name: "limit", colour: GREY, dash: [2, 4] }, { name: "requested", colour: ORANGE, dash: [8, 4] }];
+  const [COMMANDED, MEASURED] = [{ name: "commanded", colour: GREEN }, { name: "measured", colour: BLUE, is_straight: true }];
+  const LINES = [ // a value holds until the next one, but for what is measured; the steering limit holds to both sides
+    ...[LIMIT, REQUESTED, COMMANDED, MEASURED].map((line) => ({ ...line, chart: 0 })),
+    ...[{ ...LIMIT, is_mirrored: true }, REQUESTED, COMMANDED, MEASURED].map((line) => ({ ...line, chart: 1 })),
+  ];
 
   const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const isPrinting = () => document.documentElement.hasAttribute("data-printing");
@@ -144,11 +176,11 @@
       this.element = element;
       this.drive = drive;
       const { x_m: xs, y_m: ys, begins } = drive.path;
-      this.marks = drive.figures.moments.filter(({ at, kind }) => at && looks.marks[kind] && looks.marks[kind].is_on_map)
-        .map(({ at, kind, text, ms }) => ({ at, look: looks.marks[kind], text, ms, kind }));
+      this.marks = drive.figures.moments.filter(({ at, kind }) => at && MARKS[kind] && MARKS[kind].is_on_map)
+        .map(({ at, kind, text, ms }) => ({ at, look: MARKS[kind], text, ms, kind }));
       if (xs.length) {
         const last = xs.length - 1;
-        [["end", last], ["begin", 0]].forEach(([name, at]) => this.marks.unshift({ at: [xs[at], ys[at]], look: looks.ends[name],
+        [["end", last], ["begin", 0]].forEach(([name, at]) => this.marks.unshift({ at: [xs[at], ys[at]], look: ENDS[name],
           text: `${name} ${clockOf(drive.path.time_ms[at])}`, ms: drive.path.time_ms[at], kind: name + " of the path" }));
       }
       const starts = new Set(begins);
@@ -209,7 +241,7 @@
       svg("text", { transform: `translate(14,${this.top}) rotate(-90)`, "text-anchor": "middle" }, root, "y, m: left");
       const inside = svg("g", { "clip-path": `url(#${this.element.id}-clip)` }, root);
       const [x0, y0] = this.place(0, 0);
-      svg("path", { d: this.way, class: "way", stroke: looks.path, transform: `matrix(${this.scale},0,0,${-this.scale},${x0},${y0})` }, inside);
+      svg("path", { d: this.way, class: "way", stroke: BLUE, transform: `matrix(${this.scale},0,0,${-this.scale},${x0},${y0})` }, inside);
       for (const { at, look, text, ms } of this.marks) {
         markOf(look, ...this.place(...at), text, inside).dataset.ms = ms;
       }
@@ -269,9 +301,9 @@
       this.drive = drive;
       this.range = this.whole;
       this.plots = CHARTS.map((_, number) => this.plot(number));
-      this.rows = svg("svg", { class: "plot rows", height: (looks.bands.length + 1) * ROW }, element);
+      this.rows = svg("svg", { class: "plot rows", height: (BANDS.length + 1) * ROW }, element);
       const list = html("ul", "marks", element);
-      explain(list, new Map(drive.figures.moments.map(({ kind }) => [kind, looks.marks[kind] || looks.other_mark])));
+      explain(list, new Map(drive.figures.moments.map(({ kind }) => [kind, MARKS[kind]])));
       this.rows.addEventListener("mousedown", (event) => this.pan(event) || drag(event, () => {}, (_x, _y, isDrag) => {
         const mark = event.target.closest("[data-ms]");
         if (!isDrag) { drive.choose(mark ? Number(mark.dataset.ms) : this.timeAt(event)); }
@@ -284,11 +316,11 @@
     plot(number) {
       const { drive } = this, { name, unit, digits } = CHARTS[number];
       const series = [{ label: "UTC", value: (_, ms) => (ms === null ? "--" : clockOf(ms)) }], tables = [];
-      looks.lines.forEach((line, at) => {
+      LINES.forEach((line, at) => {
         if (line.chart !== number) { return; }
         const [times, values] = drive.lines[at];
-        const more = { stroke: line.colour, dash: line.dash, width: line.is_stepped ? 1.5 : 2, points: { show: false },
-          paths: line.is_stepped ? uPlot.paths.stepped({ align: 1 }) : uPlot.paths.linear() };
+        const more = { stroke: line.colour, dash: line.dash, width: line.is_straight ? 2 : 1.5, points: { show: false },
+          paths: line.is_straight ? uPlot.paths.linear() : uPlot.paths.stepped({ align: 1 }) };
         series.push({ ...more, label: line.name, value: (_, value) => (value === null || value === undefined ? "--" : fixed(value, digits) + unit) });
         tables.push([times, values]);
         if (line.is_mirrored) {
@@ -386,14 +418,16 @@
       const clip = svg("clipPath", { id: `${this.element.id}-clip` }, rows);
       svg("rect", { x: LEFT, y: 0, width: this.inner, height: "100%" }, clip);
       svg("rect", { x: LEFT, y: 0, width: this.inner, height: "100%", class: "field" }, rows);
-      ["events", ...looks.bands].forEach((name, row) => svg("text", { x: LEFT - 6, y: (row + 0.5) * ROW + 4, "text-anchor": "end" }, rows, name));
+      ["events", ...BANDS].forEach((name, row) => svg("text", { x: LEFT - 6, y: (row + 0.5) * ROW + 4, "text-anchor": "end" }, rows, name));
       const inside = svg("g", { "clip-path": `url(#${this.element.id}-clip)` }, rows);
       drive.figures.bands.forEach((spans, row) => {
-        for (const [begin, end, value, colour] of spans) {
+        const others = [...new Set(spans.map(([, , value]) => value))].filter((value) => !Object.hasOwn(COLOURS, value));
+        for (const [begin, end, value] of spans) {
           if (end < fromMs || begin > toMs) { continue; }
           const [left, right] = [Math.max(this.x(begin), LEFT), Math.min(this.x(end), LEFT + this.inner)];
+          const colour = Object.hasOwn(COLOURS, value) ? COLOURS[value] : PALETTE[others.indexOf(value) % PALETTE.length];
           const bar = svg("rect", { class: "bar", x: left, y: (row + 1) * ROW + 4, width: Math.max(right - left, 0.5), height: ROW - 8, fill: colour }, inside);
-          svg("title", {}, bar, `${looks.bands[row]}: ${value}`);
+          svg("title", {}, bar, `${BANDS[row]}: ${value}`);
           if (right - left > 6.5 * value.length + 8) {
             svg("text", { class: "inside", x: (left + right) / 2, y: (row + 1.5) * ROW + 4, "text-anchor": "middle" }, inside, value);
           }
@@ -401,7 +435,7 @@
       });
       for (const { ms, kind, text } of drive.figures.moments) {
         if (ms >= fromMs && ms <= toMs) {
-          markOf(looks.marks[kind] || looks.other_mark, this.x(ms), ROW / 2, text, inside).dataset.ms = ms;
+          markOf(MARKS[kind], this.x(ms), ROW / 2, text, inside).dataset.ms = ms;
         }
       }
     }
@@ -443,7 +477,7 @@
       this.rowsMs = this.rows.map((row) => Number(row.dataset.ms));
       this.atMs = null;
       this.hoverMs = null;
-      const measured = (number) => lineOf(this.lines[looks.lines.findIndex((line) => line.chart === number && line.name === "measured")]);
+      const measured = (number) => lineOf(this.lines[LINES.findIndex((line) => line.chart === number && line.name === "measured")]);
       this.values = CHARTS.map(({ unit, digits }, number) => [measured(number), digits, unit]);
       this.bands = figures.bands.map(bandOf);
       this.listen();

@@ -32,6 +32,7 @@ from recorder.review.entries import Entry
 from recorder.review.report.findings import (
     ABSENT,
     BANDS,
+    LINES,
     Drawn,
     Line,
     Place,
@@ -39,7 +40,6 @@ from recorder.review.report.findings import (
     Report,
     RobotReport,
     RobotSummary,
-    Span,
     Why,
     counted,
     distance,
@@ -58,120 +58,6 @@ from schemas.command_line import plain
 from schemas.decisions import Severity
 from schemas.reasons import Reason
 
-BLUE: Final = "#3987e5"
-ORANGE: Final = "#e08a1e"
-GREEN: Final = "#199e70"
-RED: Final = "#e0524d"
-VIOLET: Final = "#9085e9"
-GREY: Final = "#8a8f98"
-OLIVE: Final = "#b5a000"
-
-COLOURS: Final = {
-    "auto": GREEN,
-    "remote": VIOLET,
-    "stop": GREY,
-    "standby": GREY,
-    "engaging": OLIVE,
-    "engaged": GREEN,
-    "stopping": RED,
-}
-"""Of the bands' values; others take their turns of PALETTE."""
-
-PALETTE: Final = (BLUE, ORANGE, VIOLET, OLIVE, GREEN)
-
-
-class EventLook(msgspec.Struct, frozen=True):
-    """The look of a kind of event.
-
-    Attributes:
-        path: its outline, as SVG has it, between -1 and 1.
-        is_open: the outline alone is drawn.
-        is_on_map: it is shown on the path, too.
-        radius: in pixels.
-    """
-
-    path: str
-    colour: str
-    is_open: bool = False
-    is_on_map: bool = False
-    radius: float = 5.5
-
-
-SQUARE: Final = "M-1-1H1V1H-1Z"
-DIAMOND: Final = "M0-1 1 0 0 1-1 0Z"
-CIRCLE: Final = "M-1 0A1 1 0 1 1 1 0 1 1 0 1 1-1 0Z"
-
-MARKS: Final = {
-    "stop": EventLook(SQUARE, RED, is_on_map=True),
-    # It comes with a stop, and is drawn around it.
-    "latch": EventLook(DIAMOND, RED, is_open=True, is_on_map=True, radius=10),
-    "fault": EventLook("M-1-1 1 1M1-1-1 1", ORANGE, is_open=True, is_on_map=True),
-    "guard": EventLook("M0-1.2.3-.4 1.2-.4.5.2.7 1.1 0 .6-.7 1.1-.5.2-1.2-.4-.3-.4Z", RED, is_on_map=True),
-    "takeover": EventLook("M0-1 1 1H-1Z", VIOLET, is_on_map=True),
-    "lease": EventLook(CIRCLE, BLUE, is_open=True),
-    "engaged": EventLook(CIRCLE, GREEN),
-    "stopped": EventLook(SQUARE, GREY, is_open=True),
-    "end": EventLook(SQUARE, GREY),
-    "reset": EventLook(DIAMOND, BLUE, is_open=True),
-    "gateway": EventLook("M0-1V1M-1 0H1", RED, is_open=True, is_on_map=True),
-    "gap": EventLook("M0-1V1", RED, is_open=True, is_on_map=True),
-    "clock": EventLook("M0-1.3.6 0 0 1.3-.6 0Z", ORANGE),
-    "recorder": EventLook("M0-1 1-.2.6 1H-.6L-1-.2Z", GREY, is_open=True),
-}
-"""The look of each kind of event; the outlines differ too, for people who cannot distinguish colours."""
-
-OTHER_MARK: Final = EventLook(CIRCLE, GREY)
-
-ENDS: Final = {
-    "begin": EventLook(CIRCLE, GREEN, is_on_map=True, radius=6.5),
-    "end": EventLook(CIRCLE, GREEN, is_open=True, is_on_map=True, radius=6.5),
-}
-"""The look of both ends of the path."""
-
-
-class Curve(msgspec.Struct, frozen=True):
-    """A line of a chart: 0 of speed, 1 of angle.
-
-    Attributes:
-        name: in the legend.
-        dash: lengths of dashes and of what is between them, in pixels.
-        is_stepped: each value holds until the next one; else the line goes straight from one to the next.
-        is_mirrored: it holds to both sides.
-    """
-
-    chart: int
-    key: str
-    name: str
-    colour: str
-    dash: tuple[int, ...] = ()
-    is_stepped: bool = True
-    is_mirrored: bool = False
-
-
-LINES: Final = (
-    Curve(0, "speed_limit_mps", "limit", GREY, (2, 4)),
-    Curve(0, "target_speed_mps", "requested", ORANGE, (8, 4)),
-    Curve(0, "output_speed_mps", "commanded", GREEN),
-    Curve(0, "speed_mps", "measured", BLUE, is_stepped=False),
-    Curve(1, "steering_limit_deg", "limit", GREY, (2, 4), is_mirrored=True),
-    Curve(1, "target_angle_deg", "requested", ORANGE, (8, 4)),
-    Curve(1, "output_angle_deg", "commanded", GREEN),
-    Curve(1, "angle_deg", "measured", BLUE, is_stepped=False),
-)
-
-
-def looks() -> dict[str, Any]:
-    """Return what all charts have in common."""
-    return {
-        "lines": LINES,
-        "bands": BANDS,
-        "marks": MARKS,
-        "other_mark": OTHER_MARK,
-        "ends": ENDS,
-        "path": BLUE,
-        "outage": RED,
-    }
-
 
 def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
     """Return the charts of a drive."""
@@ -180,8 +66,11 @@ def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
         "robot": robot.name,
         "from_ms": _ms(drawn.start_ns),
         "to_ms": -(-drawn.end_ns // 1_000_000),
-        "lines": [_line(drawn.lines.get(line.key, [])) for line in LINES],
-        "bands": [_band(drawn.bands.get(row, [])) for row in BANDS],
+        "lines": [_line(drawn.lines.get(name, [])) for name in LINES],
+        "bands": [
+            [(_ms(span.start_ns), _ms(span.end_ns), plain(span.value)) for span in drawn.bands.get(row, [])]
+            for row in BANDS
+        ],
         "outages": [(_ms(begin), _ms(end)) for begin, end in drawn.outages],
         "stops": [_ms(time_ns) for time_ns in stops],
         "moments": [_moment(one, drawn.places) for one in drawn.moments],
@@ -195,12 +84,6 @@ def clock(time_ns: int) -> str:
         return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%H:%M:%S}.{time_ns % 10**9 // 10**6:03d}"
     except (ValueError, OverflowError, OSError):
         return f"{time_ns} ns"
-
-
-def band_colours(values: Iterable[str]) -> dict[str, str]:
-    """A colour for each value of a band."""
-    others = [value for value in dict.fromkeys(values) if value not in COLOURS]
-    return COLOURS | {value: PALETTE[number % len(PALETTE)] for number, value in enumerate(others)}
 
 
 def hover_text(moment: Entry) -> str:
@@ -232,12 +115,6 @@ def _line(points: Sequence[Point | None]) -> tuple[list[int], list[float | None]
         times_ms.append(times_ms[-1] + 1 if point is None else _ms(point[0]))
         values.append(None if point is None else round(point[1], 3))
     return _steps(times_ms), values
-
-
-def _band(spans: Sequence[Span]) -> list[tuple[int, int, str, str]]:
-    """Beginning, end, value and colour of each span."""
-    colours = band_colours(span.value for span in spans)
-    return [(_ms(span.start_ns), _ms(span.end_ns), plain(span.value), colours[span.value]) for span in spans]
 
 
 def _moment(moment: Entry, places: Sequence[Place]) -> dict[str, Any]:
@@ -298,7 +175,7 @@ def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -
     _, name, licence = _text(vendor / "LICENSES.txt").partition("uPlot")
     hashes = (b64encode(hashlib.sha256(one.encode()).digest()).decode() for one in (library, script))
     allowed = " ".join(f"'sha256-{one}'" for one in hashes)
-    charts = {"looks": looks(), "drives": [figures(*one) for one in report.drawn]}
+    charts = {"drives": [figures(*one) for one in report.drawn]}
     return Template(_text(here / "page.html")).substitute(
         policy=f"default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src {allowed}",
         names=text(", ".join(robot.summary.name for robot in report.robots)),

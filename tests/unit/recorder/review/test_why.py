@@ -273,10 +273,6 @@ last
 given deadman; without safety/state, safety/event
 last
     missing: not in the log: the arbiter's state at this moment
-== decoded frames stand in for raw ones
-given front_bumper; without journal
-last
-    evidence: chassis/body said front_bumper = True
 == without a configuration the limits are the start values
 given deadman; unnamed
 last

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from recorder.review.report.findings import Report
-from recorder.review.report.page import BLUE, page
+from recorder.review.report.page import page
 from tests.support.drives import HOSTILE, write_messages
 from tests.support.processes.browser import Opened, open_page, take_picture
 from tests.support.reading import report_of
@@ -38,7 +38,7 @@ setTimeout(function () {
 """
 """Counts blue in the charts, then points at the middle of the second robot's time: which outlines are there?"""
 
-PATH_BLUE: Final = tuple(int(BLUE[at : at + 2], 16) for at in (1, 3, 5))
+PATH_BLUE: Final = (0x39, 0x87, 0xE5)
 POLICY: Final = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 

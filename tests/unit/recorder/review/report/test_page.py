@@ -6,6 +6,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterator
 from html.parser import HTMLParser
+from importlib.resources import files
 from itertools import accumulate, pairwise
 from math import cos, hypot, radians, sin, tan
 from pathlib import Path
@@ -18,9 +19,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.record.accounting import KeyReport
+from recorder.review import report as report_package
 from recorder.review.drives import DIED
 from recorder.review.entries import EntryKind
 from recorder.review.report.findings import (
+    LINES,
     PLACES_MAX,
     Drawn,
     DrivenPath,
@@ -33,11 +36,7 @@ from recorder.review.report.findings import (
     verdict,
 )
 from recorder.review.report.page import (
-    COLOURS,
-    LINES,
-    MARKS,
     MOMENTS_SHOWN,
-    band_colours,
     figures,
     page,
     safe_json,
@@ -216,7 +215,7 @@ def with_charts(robot: RobotReport, drawn: Drawn) -> dict[str, Any]:
 
 def line_of(found: dict[str, Any], key: str) -> list[tuple[int, float | None]]:
     """Times, since the robot's first, and values of a line."""
-    steps, values = found["lines"][[line.key for line in LINES].index(key)]
+    steps, values = found["lines"][LINES.index(key)]
     return list(zip((time_ms - found["from_ms"] for time_ms in accumulate(steps)), values, strict=True))
 
 
@@ -244,14 +243,13 @@ def test_what_a_log_says_rules_no_line(tmp_path: Path) -> None:
 
 def test_every_state_and_event_has_a_look_of_its_own() -> None:
     """The arbiter's states and the chassis's modes have colours; all kinds of events marks that differ."""
-    assert {state.value for state in ArbiterState} <= COLOURS.keys()
-    assert {mode.value for mode in Mode if mode is not Mode.UNDEFINED} <= COLOURS.keys()
-    in_tables = {EntryKind.REFUSAL, EntryKind.REQUEST}
-    assert MARKS.keys() == {kind.value for kind in EntryKind if kind not in in_tables}
-    assert len(set(MARKS.values())) == len(MARKS)
-    assert (
-        band_colours(["operator-1", "operator-2"])["operator-1"] != band_colours(["x", "operator-1"])["operator-1"]
-    )
+    script = (files(report_package) / "page.js").read_text()
+    colours = script.partition("const COLOURS = {")[2].partition("}")[0]
+    for value in (*ArbiterState, *(mode for mode in Mode if mode is not Mode.UNDEFINED)):
+        assert f" {value.value}: " in colours
+    marks = re.findall(r"^    (\w+): (look\(.*\)),", script, re.MULTILINE)
+    assert {kind for kind, _ in marks} == {kind.value for kind in EntryKind} - {"refusal", "request"}
+    assert len({look for _, look in marks}) == len(marks)
 
 
 def hostile_drive() -> list[Message]:
