@@ -295,7 +295,6 @@ def _status(core: Core, links: Links) -> str:
 
 
 def _publish_last(ports: LoopPorts, core: Core) -> None:
-    """Publish the last batches."""
     for sample in core.last_batches(time.time_ns()):
         ports.sink.publish(sample)
     if ports.signed is not None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from random import Random
 from typing import Final
 
+import msgspec
+
 from gateway.chassis.port import AT_REST, Actuation, Chassis, ChassisState
 from gateway.command.engagement import Engagement
 from gateway.command.lease import Leases, OperatorLink
@@ -386,11 +388,7 @@ class Reporter:
             time_ns=wall_ns,
             sequence=self._next(SafetyEvent),
             tick=self._arbiter.tick_number,
-            severity=event.severity,
-            kind=event.kind,
-            reason=event.reason,
-            operator=event.operator,
-            text=event.text,
+            **msgspec.structs.asdict(event),
         )
 
     def _says(self, blocked_by: list[Reason]) -> tuple[object, ...]:

@@ -63,23 +63,31 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
     bars: dict[str, str] = {}
 
 
+def _is_idle(flow: CommandFlow) -> bool:
+    """The robot stands, nobody holds the lease, and no stop is due or can become due."""
+    arbiter = flow.arbiter
+    return (
+        arbiter.state is ArbiterState.STANDBY
+        and arbiter.leases.held is None
+        and not arbiter.engagement.is_closing
+        and arbiter.handover.left is None
+        and not arbiter.engagement.owes_stop
+        and arbiter.monitor.stands
+        and arbiter.monitor.chassis.bus_up
+    )
+
+
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
     """True if nothing is under way, and ``snapshot`` holds all that remains of what was."""
     arbiter = flow.arbiter
     return (
-        arbiter.state is ArbiterState.STANDBY
+        _is_idle(flow)
         and now_ns - flow.busy_ns >= QUIET_NS
-        and arbiter.leases.held is None
         and not arbiter.latches.details
-        and not arbiter.engagement.is_closing
-        and arbiter.handover.left is None
-        and not arbiter.engagement.owes_stop
         and not arbiter.engagement.is_after_crash
         and arbiter.auxiliary.is_off(now_ns)
-        and arbiter.monitor.stands
         and not arbiter.monitor.pressed
         and not arbiter.monitor.chassis_faults()
-        and arbiter.monitor.chassis.bus_up
     )
 
 
@@ -155,19 +163,7 @@ def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
     yet execute a command that was left to it, a stop is owed, or the horn was left on, the gateway stays.
     Events are no objection either: on a busy computer the loop is late, and says so, again and again.
     """
-    arbiter = flow.arbiter
-    chassis = arbiter.monitor.chassis
-    return (
-        arbiter.state is ArbiterState.STANDBY
-        and now_ns - flow.asked_ns >= QUIET_NS
-        and arbiter.leases.held is None
-        and not arbiter.engagement.is_closing
-        and arbiter.handover.left is None
-        and not arbiter.engagement.owes_stop
-        and not arbiter.engagement.auxiliary.is_sounding
-        and arbiter.monitor.stands
-        and chassis.bus_up
-    )
+    return _is_idle(flow) and now_ns - flow.asked_ns >= QUIET_NS and not flow.arbiter.auxiliary.is_sounding
 
 
 def take_over(arbiter: Arbiter, former: Carried, now_ns: int) -> None:

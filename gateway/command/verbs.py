@@ -26,12 +26,6 @@ _BY_STATE: Final = {
     ArbiterState.STOPPING: Reason.STOPPING,
 }
 
-_DRIVE_REFUSALS: Final = {
-    ArbiterState.STANDBY: Reason.NOT_ENGAGED,
-    ArbiterState.ENGAGING: Reason.ENGAGING,
-    ArbiterState.STOPPING: Reason.STOPPING,
-}
-
 _UNPROVEN: Final = " (unproven)"
 """Behind the name that a stop gave itself, where nothing proves it."""
 
@@ -66,8 +60,8 @@ class Verbs:
             requests.Engage: self._engage,
             requests.Disengage: self._disengage,
             requests.Reset: self._reset,
-            requests.Park: self._park,
-            requests.Unpark: self._unpark,
+            requests.Park: self._set_parked,
+            requests.Unpark: self._set_parked,
             requests.Light: self._light,
             requests.Horn: self._horn,
             requests.ClearOdometer: self._clear_odometer,
@@ -265,16 +259,10 @@ class Verbs:
             return Reason.MOVING
         return Reason.COMMAND_NOT_ZERO if self._link.wants_motion(now_ns) else None
 
-    def _park(self, request: requests.Park, _operator: str, _now_ns: int) -> Ruling:
-        return self._set_parked(request, parked=True)
-
-    def _unpark(self, request: requests.Unpark, _operator: str, _now_ns: int) -> Ruling:
-        return self._set_parked(request, parked=False)
-
-    def _set_parked(self, request: requests.Leased, *, parked: bool) -> Ruling:
+    def _set_parked(self, request: requests.Park | requests.Unpark, _operator: str, _now_ns: int) -> Ruling:
         if self._setpoint.target.speed_mps:
             return Ruling(Reason.COMMAND_NOT_ZERO, lease=request.lease)
-        self._setpoint.parked = parked
+        self._setpoint.parked = isinstance(request, requests.Park)
         return Ruling(lease=request.lease)
 
     def _light(self, request: requests.Light, _operator: str, now_ns: int) -> Ruling:
@@ -329,7 +317,7 @@ class Verbs:
             self._link.fresh_ns = now_ns
             self._setpoint.target = asked
         elif self._engagement.state is not ArbiterState.ENGAGING or request.speed_mps:
-            return ruled(_DRIVE_REFUSALS[self._engagement.state])
+            return ruled(_BY_STATE.get(self._engagement.state, Reason.NOT_ENGAGED))
         self._link.age.accept(request.seq, age_ns, now_ns)
         return ruled(Reason.NONE)
 
