@@ -46,8 +46,6 @@ class Arbiter:
 
     Attributes:
         tick_number: rises with each tick, from a number that differs with each run.
-        leases: the right to command.
-        link: the commands of who holds the lease.
         engagement: the robot under command. Its states are the arbiter's attributes too: ``monitor``,
             ``setpoint``, ``output``, ``auxiliary``, ``handover``, ``latches``, ``outbox``.
     """

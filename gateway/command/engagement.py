@@ -54,7 +54,7 @@ class Standing:
         self._asked_ns = self._stood_ns = 0
 
     def begin(self, now_ns: int) -> None:
-        """The robot is engaged: it has not moved, and people are warned."""
+        """Begin with a robot that has not moved: people are warned."""
         self._asked_ns = now_ns
         self._stood_ns = now_ns + self._warning_ns
 
@@ -80,15 +80,6 @@ class Engagement:
     """The robot under command: its states, and every way into and out of motion.
 
     Attributes:
-        state: its state in the table of states.
-        monitor: the chassis.
-        setpoint: the requested motion, and the limits in force.
-        output: the commands to it.
-        standing: the times for which it has been told to stand, and their consequences.
-        auxiliary: its lamps, horn and odometer.
-        handover: other commanders, and the command that the chassis was left with.
-        latches: causes that must be reset before it can be engaged.
-        outbox: replies and events.
         stop_reason, stop_detail: why the last stop was begun, and its figures.
         owes_stop: a stop could not be carried out, or ended without an applied parking brake.
         engage_until_ns: while engaging, when the chassis must read auto, monotonic.

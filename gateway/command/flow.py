@@ -44,9 +44,7 @@ class CommandFlow:
     """Everything between a request and a frame.
 
     Attributes:
-        arbiter: decides.
         is_mute: the gate refuses even the stop sequence, or our way to the bus is lost: the guard has to act.
-        maker, gate, reporter: make the frames, admit them, and make the messages.
         busy_ns: when somebody last asked something, or something was told, monotonic.
         asked_ns: when somebody last asked something, or the chassis was commanded, monotonic.
     """

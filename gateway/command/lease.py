@@ -297,8 +297,6 @@ class OperatorLink:
     """The drive commands of the lease's holder.
 
     Attributes:
-        challenges: when each challenge was published.
-        age: the age of the holder's commands, the deadman, and the speed that they allow.
         last_sequence: of the last fresh drive command under the lease in force.
         fresh_ns: arrival of the last drive command that the engaged robot executes, or its engagement, monotonic.
     """

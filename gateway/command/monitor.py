@@ -341,12 +341,10 @@ class ChassisMonitor:
 
     Attributes:
         stands: the robot was seen to stand for long enough. False also when that cannot be seen.
-        chassis: the chassis at this tick.
         pressed: the bumpers that are pressed, or have not read clear for long enough.
         struck: those that were clear, a tick before.
         is_rest_confirmed: feedback has answered since a speed was last commanded: a speed that rose and fell, or a
             parking brake that reads applied since it was asked for. Until then a speed of zero may be frozen.
-        plausibility: compares the robot's motion with its command.
         send_failures: ticks in a row whose frames the bus did not take.
     """
 

@@ -100,8 +100,6 @@ class MotionConstraints(msgspec.Struct, frozen=True):
     """Bounds of the motion in a tick besides the limits.
 
     Attributes:
-        wheelbase_m: the chassis's.
-        stands: the measured speed is that of a standing robot.
         gear, brake: the feedback of gear and parking brake.
         parked: the parking brake is to be applied, whatever is asked.
         speed_mps, angle_deg: as measured, the speed the greatest that is seen, a magnitude; zero where not known.
@@ -129,7 +127,6 @@ class MotionProfile:
         speed_mps: signed.
         angle_deg: left is positive.
         gear: neutral until the first gear is wanted.
-        parking: the parking brake is asked for.
         held_ticks: ticks since the parking brake of a robot that stood by its motor read applied, 1 until it does;
             0 if it did not stand so.
         bounds: the limits that changed what was asked in the last tick.
@@ -288,7 +285,6 @@ class Setpoint:
     Attributes:
         target: the motion of the last acceptable drive command.
         parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
-        limits: those in force.
         configured_limits: the highest that may be in force.
     """
 

@@ -177,8 +177,6 @@ class Output:
             again.
         begun: number of times that commanding it has begun.
         told_ns: when the bus last accepted a whole burst, monotonic.
-        motion: the motion while engaged.
-        sequence: the stop under way, if there is one.
     """
 
     def __init__(self, chassis: Chassis) -> None:

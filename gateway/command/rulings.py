@@ -230,8 +230,6 @@ class TickOutcome(msgspec.Struct, frozen=True):
     Attributes:
         actuation: the five motion frames; None for silence.
         auxiliary: lamps, horn and odometer, only ever together with the five.
-        judged: the requests of this tick with their rulings.
-        answers: replies that are due.
     """
 
     actuation: Actuation | None
