@@ -7,6 +7,7 @@ release's own Python. Nothing is compiled, so packages of any architecture are b
 from __future__ import annotations
 
 import argparse
+import gzip
 import hashlib
 import os
 import shutil
@@ -16,6 +17,8 @@ import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
+
+from man import manual
 
 ROOT: Final = Path(__file__).parents[1]
 DEPLOY: Final = ROOT / "deploy"
@@ -71,6 +74,7 @@ PLACES: Final = {
     "sysusers.conf": "usr/lib/sysusers.d/cruiser.conf",
     "tmpfiles.conf": "usr/lib/tmpfiles.d/cruiser.conf",
     "60-cruiser.rules": "usr/lib/udev/rules.d/{name}",
+    "completion.bash": "usr/share/bash-completion/completions/cruiser",
     "zenohd.conf": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
     "bench/*": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
 }
@@ -113,6 +117,9 @@ def build(release: str, architecture: str, project: Path) -> Path:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target)
     shutil.copyfile(ROOT / "LICENSE", stage / f"usr/share/doc/{PACKAGE}/copyright")
+    pages = stage / "usr/share/man/man1"
+    pages.mkdir(parents=True)
+    (pages / "cruiser.1.gz").write_bytes(gzip.compress(manual(PROJECT["version"]).encode(), mtime=0))
     (stage / "usr/bin").mkdir(parents=True)
     (stage / "usr/bin/cruiser").symlink_to("/opt/cruiser/bin/cruiser")
     version = f"{PROJECT['version']}-{REVISION}~{suffix}"

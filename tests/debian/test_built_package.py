@@ -43,6 +43,8 @@ def test_a_package_has_what_its_units_run(package: Path, listed: Callable[[Path]
         "/opt/cruiser/bin/cruiser",
         "/usr/lib/udev/rules.d/60-cruiser.rules",
         "/opt/cruiser/lib/early_stop.py",
+        "/usr/share/bash-completion/completions/cruiser",
+        "/usr/share/man/man1/cruiser.1.gz",
     ):
         assert name in files
     target = files["/opt/cruiser/lib/early_stop.py"][2].partition(" -> ")[2]
