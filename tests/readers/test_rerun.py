@@ -68,7 +68,6 @@ def _stamp(time_ns: int, sequence: int) -> bytes:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log that the recorder has written."""
     directory = tmp_path_factory.mktemp("logs")
     source = FakeSource(samples())
     writer = LogWriter(LogDirectory(directory), "test")

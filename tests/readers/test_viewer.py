@@ -36,7 +36,6 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 @contextmanager
 def viewer() -> Iterator[str]:
-    """The origin of a viewer's page."""
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=BUILT)) as server:
         threading.Thread(target=server.serve_forever).start()
         try:

@@ -60,7 +60,6 @@ def logs(tmp_path: Path) -> Path:
 
 
 def upload(logs: Path, port: int, *, read_back: bool = True, rate: int = RATE) -> int:
-    """The command, once."""
     settings = Settings(
         recorder=RecorderSettings(directory=str(logs)),
         upload=UploadSettings(f"s3://{BUCKET}/plant-1", options_of(port), "all", rate, read_back),
@@ -69,13 +68,11 @@ def upload(logs: Path, port: int, *, read_back: bool = True, rate: int = RATE) -
 
 
 def options_of(port: int) -> dict[str, str | int | float | bool]:
-    """A server of one's own."""
     endpoint = f"http://127.0.0.1:{port}"
     return {"endpoint": endpoint, "region": "us-east-1", "virtual_hosted_style_request": False, "allow_http": True}
 
 
 def held(port: int) -> dict[str, bytes]:
-    """What the bucket holds."""
     options: dict[str, Any] = options_of(port)
     options.pop("allow_http")
     store = S3Store(BUCKET, client_options={"allow_http": True}, **options)

@@ -9,7 +9,6 @@ from tests.support.fakes.peer import Peer, free_endpoint
 
 @pytest.fixture
 def endpoint() -> str:
-    """Where a test's peer listens."""
     return free_endpoint()
 
 

@@ -53,7 +53,6 @@ class FakeViewers(ViewServer):
 
 
 def shown(*samples: ReceivedSample, wanted: tuple[str, ...] = ()) -> tuple[LiveChannels, FakeViewers]:
-    """What viewers are shown of these samples, received at 0."""
     viewers = FakeViewers(*wanted)
     channels = LiveChannels(viewers, "1.0")
     for sample in samples:

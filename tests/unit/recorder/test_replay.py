@@ -119,12 +119,10 @@ def test_frames_of_one_batch_are_one_run(rows: list[Row], found: list[tuple[Topi
 
 
 def every_key(_key: str) -> bool:
-    """Wants all."""
     return True
 
 
 def replayed(path: Path, root: str = "replay") -> tuple[list[ReplaySample], Samples]:
-    """All samples of a log."""
     found = Samples(KeyMap(root, roots_of(survey(logs_of(path), Faults()).topics.values())), every_key, Faults())
     return list(found.of(runs(rows_of(path)))), found
 

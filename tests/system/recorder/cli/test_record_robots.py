@@ -29,7 +29,6 @@ def put_until_told(peer: Peer, told: Told, keys: list[str], keys_heard: int) -> 
 
 
 def by_name(directory: Path) -> dict[str, LogInfo]:
-    """The logs of a directory, by their names without the time."""
     found = {re.sub(r"-\d{8}T\d{6}Z\.mcap$", "", path.name): read_info(path) for path in whole(directory)}
     assert len(found) == len(logs_in(directory))
     assert all(check_log(path).whole for path in whole(directory))

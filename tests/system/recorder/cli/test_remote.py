@@ -33,7 +33,6 @@ class Depot:
         self._connect = ["--connect", endpoint, "--operator", "operator-1"]
 
     def ask(self, *words: str) -> tuple[int, str, str]:
-        """One of the commands; what becomes of it."""
         return ask(*words, *self._connect)
 
     def reply(self, *words: str) -> dict[str, object]:

@@ -25,7 +25,6 @@ Answer = Callable[[BaseHTTPRequestHandler], bool]
 
 
 def well(_: BaseHTTPRequestHandler) -> bool:
-    """Let it be answered well."""
     return False
 
 
@@ -65,7 +64,6 @@ def served(
             self.end_headers()
 
         def wait(self) -> None:
-            """Say nothing until the test is over."""
             is_over.wait()
             self.close_connection = True
 
@@ -83,18 +81,15 @@ def served(
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for half a minute here."""
     monkeypatch.setattr(stores, "REQUEST_S", 1.0)
 
 
 def silent(handler: Any) -> bool:  # noqa: ANN401 - the server's own class
-    """Say nothing, for ever."""
     handler.wait()
     return True
 
 
 def stalled(handler: Any) -> bool:  # noqa: ANN401
-    """Say half of it."""
     handler.head(206, 1000, f"bytes 0-999/{len(DATA)}")
     handler.wfile.write(DATA[:500])
     handler.wait()
@@ -102,14 +97,12 @@ def stalled(handler: Any) -> bool:  # noqa: ANN401
 
 
 def whole(handler: Any) -> bool:  # noqa: ANN401
-    """Know no ranges."""
     handler.head(200, len(DATA))
     handler.wfile.write(DATA)
     return True
 
 
 def refuse(status: int, handler: Any) -> bool:  # noqa: ANN401
-    """Refuse it."""
     handler.head(status, 0)
     return True
 

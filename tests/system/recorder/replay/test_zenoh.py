@@ -22,19 +22,16 @@ GEAR = BY_TYPE[Gear]
 
 
 def never() -> bool:
-    """Nobody stops it."""
     return False
 
 
 def gear_sample(number: int) -> ReplaySample:
-    """A gear message to be replayed."""
     time_ns = WALL_NS + number * STEP_NS
     return ReplaySample(time_ns, "replay/cruiser-1/chassis/gear", GEAR.encoding, GEAR, gear(number, time_ns))
 
 
 @contextmanager
 def outlet_at(endpoint: str, root: str = "replay", *, waits: bool = True) -> Iterator[ZenohOutlet]:
-    """An outlet that is connected to the peer there."""
     with closing(ZenohOutlet(ZenohSettings(connect=[endpoint]), root, waits=waits)) as outlet:
         assert outlet.wait_for_link(20, never)
         yield outlet
@@ -52,12 +49,10 @@ Received = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
 
 
 def subscribe(peer: Peer, expression: str = "replay/**") -> Received:
-    """What the peer receives."""
     return peer.session.declare_subscriber(expression, zenoh.handlers.FifoChannel(10_000))
 
 
 def received(subscriber: Received, count: int) -> list[zenoh.Sample]:
-    """So many samples."""
     found: list[zenoh.Sample] = []
 
     def are_there() -> bool:

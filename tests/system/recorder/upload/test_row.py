@@ -18,8 +18,6 @@ ROOT = Path(__file__).parents[4]
 
 
 def made(log: Path) -> bytes:
-    """The row of a log, by the process that the upload starts."""
-
     async def make() -> bytes:
         return await row_maker("recorder.review.catalog")(log)
 
@@ -60,7 +58,6 @@ def test_what_a_robot_has_installed_suffices(tmp_path: Path) -> None:
 
 
 def normalized(name: str) -> str:
-    """A distribution's name as indexes spell it."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 

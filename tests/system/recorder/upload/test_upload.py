@@ -16,7 +16,6 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 
 def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:
-    """The command."""
     program = module_command("gateway", "upload", "-d", str(logs), "--store", f"file://{store}")
     return [*program, "--rate", str(rate), *more]
 

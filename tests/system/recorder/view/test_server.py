@@ -30,14 +30,12 @@ RECORD_BYTES = 4096
 
 @pytest.fixture
 def server() -> Iterator[ViewServer]:
-    """A server with one channel."""
     with ViewServer("bench", "127.0.0.1", 0) as one:
         one.declare(CHANNEL)
         yield one
 
 
 def resident_bytes() -> int:
-    """Memory of this process now."""
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
     return pages * resource.getpagesize()
 

@@ -63,7 +63,6 @@ def stop(scene: Scene) -> None:
 
 
 def state_of(data: bytes) -> Any:  # noqa: ANN401 - protobuf makes the class at run time
-    """A decoded state."""
     return message_class(RobotState).FromString(data)
 
 
@@ -165,7 +164,6 @@ def test_it_ends_at_a_signal_and_leaves_the_layouts(scene: Scene, tmp_path: Path
 
 
 def settings(endpoint: str) -> Settings:
-    """Of a view of the robots there."""
     return Settings(zenoh=ZenohSettings(connect=[endpoint]))
 
 

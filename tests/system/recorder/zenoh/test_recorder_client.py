@@ -24,7 +24,6 @@ class Both:
         self.client = client
 
     def ask(self, recorder: str = keys.ALL) -> list[tuple[str, RecorderReply]]:
-        """Who says how they are."""
         return list(self.client.ask(recorder, "status", Status(), ANSWER_S))
 
     def names(self) -> list[str]:

@@ -31,7 +31,6 @@ A_REPLY = RecorderReply(ok=True, detail="", files=[], health=recorder_health())
 
 
 def settings(endpoint: str, name: str = "bench") -> Settings:
-    """Of a recorder that connects to the peer."""
     return Settings(zenoh=ZenohSettings(connect=[endpoint]), recorder=RecorderSettings(name=name))
 
 
@@ -60,7 +59,6 @@ class Client:
         )
 
     def tokens(self) -> set[str]:
-        """The recorders that are there, by their liveliness."""
         replies: Any = self._session.liveliness().get(
             "fleet/@recorder/*", zenoh.handlers.FifoChannel(16), timeout=1.0
         )
@@ -221,7 +219,6 @@ def test_who_does_not_read_holds_up_no_loop(pair: Pair) -> None:
 
 
 def is_over(replies: Any) -> bool:  # noqa: ANN401 - Zenoh's own handler
-    """Has a query ended, so that no more replies will come?"""
     try:
         replies.try_recv()
     except zenoh.ZError:

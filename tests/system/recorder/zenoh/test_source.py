@@ -48,7 +48,6 @@ def put_until(peer: Peer, sample: ReceivedSample, inbox: Inbox) -> None:
 
 @pytest.fixture
 def linked(endpoint: str) -> Iterator[tuple[Peer, ZenohSource]]:
-    """A peer and a source that hear each other."""
     with Peer(endpoint) as peer, closing(source(endpoint)) as origin:
         put_until(peer, FakeSample("fleet/link", "zenoh/bytes", b""), Inbox(origin))
         yield peer, origin

@@ -22,7 +22,6 @@ def _without_rerun(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A small log."""
     path = tmp_path / "a.mcap"
     path.write_bytes(small_log())
     return path

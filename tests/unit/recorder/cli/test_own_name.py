@@ -17,7 +17,6 @@ from tests.support.provisioned import provision
 
 
 def provisioned(directory: Path, name: str = "depot-1", mode: str = "signed") -> Settings:
-    """The settings of a recorder whose grant is in this directory."""
     recorder = Party(name)
     Fleet().authority.grant(recorder, role=GrantRole.RECORDER)
     (directory / "recorder.grant").write_text(chain_text(recorder.chain))

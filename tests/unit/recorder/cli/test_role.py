@@ -15,17 +15,14 @@ ALL = ["fleet/**"]
 
 @pytest.fixture
 def network(tmp_path: Path) -> Network:
-    """Makes nodes of any role."""
     return Network(tmp_path, "tls/127.0.0.1:47447")
 
 
 def settings(network: Network, role: TransportRole) -> ZenohSettings:
-    """Those of a machine of this role."""
     return ZenohSettings(config=str(network.node(role, "one") / f"{role.value}.json5"))
 
 
 def refused(one: ZenohSettings, roles: frozenset[str]) -> bool:
-    """Return True if it is refused."""
     try:
         check_role(one, roles, "others may")
     except CommandError:

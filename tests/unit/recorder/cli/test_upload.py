@@ -34,7 +34,6 @@ def _rows_without_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def settings(tmp_path: Path, **upload: object) -> Settings:
-    """Logs and store of this test."""
     return Settings(
         recorder=RecorderSettings(directory=str(tmp_path / "logs")),
         upload=UploadSettings(**{"store": f"file://{tmp_path}/store", **upload}),  # type: ignore[arg-type]
@@ -63,7 +62,6 @@ def test_it_goes_on_until_it_is_stopped(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def save_once(path: Path) -> None:
-    """A log that ends now."""
     if not path.exists():
         saved(path.with_suffix(".new"), own_log([gears(0, 3, 0)])).rename(path)
 

@@ -35,7 +35,6 @@ class Keeper(DiskKeeper):
         """Leave it to the test."""
 
     def look(self) -> list[Notice]:
-        """What it says then."""
         self._look()
         return list(self.notices())
 
@@ -237,7 +236,6 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
 
 
 def mark(directory: Path, name: str, size: int, data: bytes = bytes(1000)) -> None:
-    """Note that a log of this length and with these bytes is safe elsewhere."""
     modified_ns = (directory / name).stat().st_mtime_ns
     with UploadNote(directory) as note:
         note.add(UploadedLog(name, size, modified_ns, hashlib.sha256(data).hexdigest(), "", ""))

@@ -42,7 +42,6 @@ def part(directory: Path, data: bytes, stem: str = "x") -> Path:
 
 
 def messages(path: Path) -> int:
-    """How many messages the mcap package reads."""
     return sum(1 for _ in make_reader(BytesIO(path.read_bytes()), validate_crcs=True).iter_messages())
 
 
@@ -138,7 +137,6 @@ def test_a_part_without_anything_is_set_aside_at_a_start(tmp_path: Path, data: b
 
 
 def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
-    """A copy that breaks off."""
     kept.write(stream.read(3))
     failing(errno.EIO)()
 

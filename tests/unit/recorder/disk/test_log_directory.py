@@ -51,7 +51,6 @@ def opened(path: Path) -> PartFile:
 
 
 def sequences(path: Path) -> list[int]:
-    """The messages of a file that may be partial."""
     return [sequence for _, sequence, *_ in Read(path).messages]
 
 

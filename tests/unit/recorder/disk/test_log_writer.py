@@ -86,7 +86,6 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def writer(tmp_path: Path) -> LogWriter:
-    """A writer of logs in a directory of their own."""
     return LogWriter(LogDirectory(tmp_path), "test")
 
 
@@ -104,19 +103,16 @@ def end(writer: LogWriter, *actions: LogAction) -> None:
 
 
 def is_written(writer: LogWriter) -> bool:
-    """Whether all that was submitted is in a file."""
     return bool(writer.sizes) and not writer._queue
 
 
 def file_of(writer: LogWriter) -> PartFile:
-    """The file of x that is being written."""
     file = writer._chains["x"].file
     assert file is not None
     return file
 
 
 def is_kept(writer: LogWriter) -> bool:
-    """Whether all that is in the file of x is on the disk."""
     file = writer._chains["x"].file
     return file is not None and file.has_synced and file.kept_size == file.size
 
@@ -185,7 +181,6 @@ def leave(logs: Path, writer: LogWriter, then: Callable[[Path], object] = lambda
 
 
 def tear(path: Path) -> None:
-    """A write that only its beginning came of."""
     with path.open("ab") as stream:
         stream.write(b"\x06\x10\x00")
 
@@ -571,12 +566,10 @@ def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
 
 
 def chunk_of(size: int) -> WriteChunk:
-    """A chunk_of that takes so many bytes with its message's header."""
     return WriteChunk("x", sealed([(1, 0, WALL_NS, WALL_NS, bytes(max(0, size - 31)))]))
 
 
 def queue_of(limit_bytes: int, *actions: LogAction) -> LogQueue:
-    """A queue in which these wait."""
     queue = LogQueue(limit_bytes)
     for action in actions:
         queue.put(action)

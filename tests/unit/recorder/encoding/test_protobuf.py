@@ -85,7 +85,6 @@ MESSAGES = st.one_of([message_of(cast("type[Message]", kind)) for kind in LOGGED
 
 
 def fill(target: Any, message: msgspec.Struct) -> Any:  # noqa: ANN401 - protobuf's classes are made at run time
-    """The protobuf package's own message with the same content."""
     for name in message.__struct_fields__:
         value = getattr(message, name)
         if isinstance(value, Enum):

@@ -107,7 +107,6 @@ def common_batches(draw: st.DrawFn) -> CanFrames:
 
 
 def unfolded(message: CanFrames) -> Chunk | None:
-    """As ``Session`` writes them."""
     chunk = ChunkBuilder()
     for publish_ns, data in unfold(message):
         chunk.add(CAN_CHANNEL, message.sequence, WALL_NS, publish_ns, data)

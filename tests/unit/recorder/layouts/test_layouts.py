@@ -32,7 +32,6 @@ PATH = re.compile(r'"(?P<topic>[^"]+)"(?P<fields>(\.\w+)*)(\[:\])?(\.@negative)?
 
 
 def layout(robot: RobotKeys = ROBOT) -> dict[str, Any]:
-    """As a viewer reads it."""
     found: dict[str, Any] = json.loads(layouts(robot)[0].data)
     return found
 

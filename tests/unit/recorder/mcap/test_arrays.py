@@ -23,7 +23,6 @@ MESSAGES = st.lists(
 
 
 def packed(messages: list[tuple[int, int, int, int, bytes]]) -> tuple[bytes, dict[int, "array[int]"]]:
-    """The records and the index of a chunk."""
     builder = ChunkBuilder()
     for message in messages:
         builder.add(*message)
@@ -31,7 +30,6 @@ def packed(messages: list[tuple[int, int, int, int, bytes]]) -> tuple[bytes, dic
 
 
 def read(*chunks: tuple[bytes, Index | None]) -> Read:
-    """All of these at once."""
     blocks = Blocks()
     for content, index in chunks:
         blocks.add(MessageBlock(0, content), index)

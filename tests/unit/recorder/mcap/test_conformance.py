@@ -38,12 +38,10 @@ VARIANTS = hashes()
 
 
 def messages(data: bytes) -> list[LoggedMessage]:
-    """Read what can be read."""
     return [one for one in walk(BytesIO(data), len(data)) if isinstance(one, LoggedMessage)]
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, object]:
-    """Ask, and let the exit code be 0."""
     code = review(*words, "--json")
     assert code == ExitCode.OK, (words, capsys.readouterr())
     found: dict[str, object] = json.loads(capsys.readouterr().out.splitlines()[0])
@@ -84,23 +82,19 @@ def test_each_message_of_the_conformance_suite_is_exported(
 
 
 def record(opcode: int, body: bytes) -> bytes:
-    """Make a record."""
     return struct.pack("<BQ", opcode, len(body)) + body
 
 
 def text(words: str) -> bytes:
-    """Make a text, behind its length."""
     return struct.pack("<I", len(words)) + words.encode()
 
 
 def message(number: int, time_ns: int | None = None) -> bytes:
-    """Make a message of channel 1."""
     time_ns = 10**9 * number if time_ns is None else time_ns
     return record(5, struct.pack("<HIQQ", 1, number, time_ns, time_ns) + b'{"x":1}')
 
 
 def chunk(records: bytes, compression: str, packed: bytes) -> bytes:
-    """Make a chunk of three messages."""
     head = struct.pack("<QQQI", 0, 2 * 10**9, len(records), zlib.crc32(records))
     return record(6, head + text(compression) + struct.pack("<Q", len(packed)) + packed)
 
@@ -164,7 +158,6 @@ FOREIGN = [foreign(one) for one in (CompressionType.NONE, CompressionType.LZ4, C
 
 
 def kept(data: bytes) -> bytes:
-    """Return a copy of what is good in a file."""
     copy = BytesIO()
     copy_good(BytesIO(data), len(data), copy, "test")
     return copy.getvalue()
@@ -184,7 +177,6 @@ def test_a_copy_keeps_at_least_what_an_export_reads(data: bytes, damage: list[tu
 
 
 def survey_is_whole(data: bytearray) -> bool:
-    """Return True if a recovery leaves the file as it is."""
     found = survey(BytesIO(data), len(data))
     return found.is_whole
 

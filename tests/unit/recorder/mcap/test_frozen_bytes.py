@@ -47,7 +47,6 @@ class Stored:
         """Of any level."""
 
     def compress(self, data: bytes) -> bytes:
-        """The same."""
         return bytes(data)
 
 
@@ -59,7 +58,6 @@ FROZEN = {
 
 
 def stored(maker: Callable[[], bytes]) -> bytes:
-    """The file with chunks that are not compressed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(zstandard, "ZstdCompressor", Stored)
         return maker()
@@ -72,7 +70,6 @@ def test_a_file_has_the_frozen_bytes(maker: Callable[[], bytes]) -> None:
 
 
 def chunks(data: bytes, unpack: Callable[[bytes], bytes]) -> list[tuple[str, int, int, int, bytes]]:
-    """What each chunk says of itself, and its messages."""
     return [
         (one.compression, one.message_start_time, one.message_end_time, one.uncompressed_crc, unpack(one.data))
         for one in StreamReader(BytesIO(data), emit_chunks=True).records

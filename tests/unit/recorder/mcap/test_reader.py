@@ -41,17 +41,14 @@ class CountingStream(BytesIO):
 
 
 def pieces(data: bytes, **given: Any) -> list[Piece]:  # noqa: ANN401 - the reader's own arguments
-    """All pieces of a file with this content."""
     return list(read_pieces(BytesIO(data), len(data), **given))
 
 
 def walked(data: bytes) -> list[Piece | LoggedMessage]:
-    """All that a walk over the file brings."""
     return list(walk(BytesIO(data), len(data)))
 
 
 def chunks(data: bytes) -> list[PackedChunk]:
-    """Its chunks."""
     return [piece for piece in pieces(data) if isinstance(piece, PackedChunk)]
 
 

@@ -33,14 +33,12 @@ def rows(data: bytes, reader: Any = make_reader) -> list[Row]:  # noqa: ANN401 -
 
 
 def others(data: bytes) -> list[object]:
-    """Metadata and attachments, found by their indexes."""
     reader = make_reader(BytesIO(data), validate_crcs=True)
     metadata: list[object] = [(one.name, sorted(one.metadata.items())) for one in reader.iter_metadata()]
     return metadata + [(one.name, one.media_type, one.data) for one in reader.iter_attachments()]
 
 
 def repaired(data: bytes) -> tuple[FileSurvey, bytes]:
-    """What recovery makes of a file."""
     found = survey(BytesIO(data), len(data))
     if found.fault_count or not found.end:
         copy = BytesIO()

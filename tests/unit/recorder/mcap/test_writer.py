@@ -70,7 +70,6 @@ def test_statistics_and_indexes_say_what_is_there(chunks: list[list[tuple[int, i
 
 
 def _check_chunk(data: bytes, index: ChunkIndex) -> None:
-    """Follow a chunk's index into the file and into the chunk."""
     chunk = _record_at(data, index.chunk_start_offset, Chunk)
     assert (chunk.message_start_time, chunk.message_end_time) == (index.message_start_time, index.message_end_time)
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)

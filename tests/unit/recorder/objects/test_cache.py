@@ -26,7 +26,6 @@ def _pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def store() -> FakeObjects:
-    """A log with what an upload puts beside it."""
     objects = FakeObjects()
     manifest = {"format": "cruiser.upload/1", "bytes": len(DATA), "sha256": hashlib.sha256(DATA).hexdigest()}
     objects.objects = {"r/a.mcap": DATA, "r/a.mcap.json": json.dumps(manifest).encode(), "r/a.mcap.sig": b"signed"}

@@ -18,7 +18,6 @@ def log(start_ns: int, count: int = 10) -> bytes:
 
 
 def names(paths: list[Path], faults: Faults | None = None, *, with_covered: bool = False) -> list[str]:
-    """The names of what is found."""
     return [one.path.name for one in find_logs(paths, faults or Faults(), with_covered=with_covered)]
 
 

@@ -28,7 +28,6 @@ LOG = own_log(
 
 
 def rows(directory: Path, selection: Selection, *contents: bytes, faults: Faults | None = None) -> list[Row]:
-    """The rows of files with these contents."""
     found = Faults() if faults is None else faults
     paths = [saved(directory / f"{number}.mcap", data) for number, data in enumerate(contents)]
     read = list(read_rows(find_logs(paths, found), selection, found))
@@ -37,7 +36,6 @@ def rows(directory: Path, selection: Selection, *contents: bytes, faults: Faults
 
 
 def of_subject(name: str) -> Selection:
-    """Only this subject."""
     return Selection(wants=lambda topic: topic.subject == name)
 
 

@@ -15,7 +15,6 @@ from tests.support.messages import WALL_NS, info, key_of
 
 
 def found_in(path: Path) -> tuple[Survey, Faults]:
-    """A survey of the logs there."""
     faults = Faults()
     return survey(find_logs([path], faults), faults), faults
 

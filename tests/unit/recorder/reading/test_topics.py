@@ -30,7 +30,6 @@ KINDS = [kind for kind in LOGGED if schema_name(kind) != "cruiser.CanFrames"]
 
 
 def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
-    """What a field of this type may hold."""
     inner = optional_part(kind)
     return st.none() | values(inner) if inner is not None else _STRATEGIES[type(kind)](kind)
 
@@ -51,7 +50,6 @@ _STRATEGIES: dict[type[inspect.Type], Callable[[Any], st.SearchStrategy[Any]]] =
 
 
 def structs(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
-    """Any message of a class."""
     return st.builds(kind, **{name: values(field) for name, _, field in fields(kind)})
 
 

@@ -29,7 +29,6 @@ class Robot:
         self.backlog.see("fleet", "cruiser-1", 0)
 
     def say(self, *, is_restart: bool = False, is_lost: bool = False) -> None:
-        """The next sample by itself."""
         if not is_lost:
             payload = self.payload(self.said)
             self.backlog.receive(self.key, self.said, payload, self.now_ns, is_restart=is_restart)
@@ -40,7 +39,6 @@ class Robot:
         return f"{self.runs} {sequence}".encode()
 
     def run(self, ticks: int = 200) -> None:
-        """Ask and answer."""
         for _ in range(ticks):
             self.now_ns += 50 * MS
             for query in self.backlog.queries(self.now_ns):

@@ -26,12 +26,10 @@ VITALS = Vitals(
 
 
 def report() -> HealthReport:
-    """Of a recorder that was started at START_NS."""
     return HealthReport("bench", "1.2", START_NS)
 
 
 def receive(recorder: Recorder, *sequences: int, robot: str = "a") -> list[Action]:
-    """These samples come."""
     return [
         action
         for sequence in sequences

@@ -23,7 +23,6 @@ from tests.support.newer import NEW_WORD, grown_messages, newer, with_new_fields
 
 
 def said(log: Log) -> list[Announcement]:
-    """What the log asked to announce."""
     return list(log.context.announcements)
 
 

@@ -202,7 +202,6 @@ def arbiter(bench: RecorderRig, sequence: int, engaged: ArbiterState, *, run: in
 def drive(
     bench: RecorderRig, engaged: ArbiterState = ArbiterState.ENGAGED, *, first: int = 0, run: int = 1
 ) -> None:
-    """Half a second of states."""
     for sequence in range(first, first + 10):
         bench.receive(arbiter(bench, sequence, engaged, run=run))
         bench.run(50 * MS)

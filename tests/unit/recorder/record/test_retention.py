@@ -140,7 +140,6 @@ def log(text: str) -> LogEntry:
 
 
 def logs_of(text: str) -> list[LogEntry]:
-    """Several logs."""
     return [log(one) for one in text.split()]
 
 
@@ -251,7 +250,6 @@ def test_to_go_on_takes_more_room_than_not_to_stop(
 
 
 def bytes_of(robot: str, entries: list[LogEntry]) -> int:
-    """What a robot's logs take, in SCALE."""
     return used([entry for entry in entries if entry.robot == robot]) // SCALE
 
 

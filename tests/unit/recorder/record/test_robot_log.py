@@ -72,7 +72,6 @@ def in_short(report: KeyReport) -> tuple[int, int, int]:
 
 
 def enumerated(value: Enum) -> str:
-    """What protobuf calls a value of an enumeration."""
     return f"{snake_case(type(value).__name__).upper()}_{value.name}"
 
 

@@ -77,12 +77,10 @@ def upload(directory: Path, store: LogStore, rows: Rows | None = None, **plan: b
 
 
 def manifest(store: FakeLogStore, name: str) -> UploadManifest:
-    """The manifest of a log in the store."""
     return msgspec.json.decode(store.objects[f"cruiser-1/{name}.json"], type=UploadManifest)
 
 
 def safe(directory: Path) -> set[str]:
-    """The logs that retention takes for safe."""
     return set(SafeLogReader(directory).read())
 
 
@@ -419,7 +417,6 @@ def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogSto
 
 @pytest.fixture
 def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that is read as fast as it can be."""
     monkeypatch.setattr(finished, "DISK_BYTES_PER_S", 0)
 
 
