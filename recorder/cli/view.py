@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -87,7 +88,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         ) as source,
     ):
         channels = LiveChannels(server, version("cruiser-gateway"))
-        loop = ViewLoop(source, server, channels, Layouts(arguments.layouts).write)
+        loop = ViewLoop(source, server, channels, partial(_write_layouts, arguments.layouts))
         where = place(settings.zenoh)
         _wait(loop, channels, source, arguments, where, ends)
         missing = ", ".join(sorted(set(arguments.robots) - channels.robots))
@@ -129,23 +130,16 @@ def _wait(
     raise CommandError(f"{missing} within {arguments.timeout:g} s at {place}{cure}", ExitCode.UNREACHABLE)
 
 
-class Layouts:
-    """Writes the layouts of robots, as ``cruiser review layouts`` does."""
-
-    def __init__(self, directory: Path | None) -> None:
-        self._directory = directory
-
-    def write(self, robot: RobotKeys) -> None:
-        """Write those of a robot; once more when its bus is known."""
-        if self._directory is None:
-            return
-        try:
-            self._directory.mkdir(parents=True, exist_ok=True)
-            for layout in layouts(robot):
-                (self._directory / f"{robot.key.rpartition('/')[2]}.{layout.name}").write_bytes(layout.data)
-        except OSError as error:
-            text = f"cannot write in {plain(str(self._directory))}: {error.strerror or error}"
-            raise CommandError(text) from error
+def _write_layouts(directory: Path | None, robot: RobotKeys) -> None:
+    """Write those of a robot, as ``cruiser review layouts`` does; once more when its bus is known."""
+    if directory is None:
+        return
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for layout in layouts(robot):
+            (directory / f"{robot.key.rpartition('/')[2]}.{layout.name}").write_bytes(layout.data)
+    except OSError as error:
+        raise CommandError(f"cannot write in {plain(str(directory))}: {error.strerror or error}") from error
 
 
 def _tell(text: str) -> None:

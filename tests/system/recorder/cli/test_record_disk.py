@@ -133,24 +133,3 @@ def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
     found = [check_log(path) for path in whole(small_disk)]
     assert len(found) == 2
     assert all(one.whole for one in found)
-
-
-def test_without_room_from_the_start_it_says_why_there_is_no_log(
-    small_disk: Path, peer: Peer, endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Samples came: it is not the robot that was silent."""
-    monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "200000000")
-    (small_disk / "ballast").write_bytes(bytes(15_500_000))
-    told = Told(peer)
-    with recording(*at(small_disk, endpoint)) as process:
-        wait_until(lambda: told.wait_for_health().state is RecorderState.FULL)
-
-        def is_counted() -> bool:
-            peer.put(FakeSample("fleet/cruiser-1/some", "zenoh/bytes", b"x"))
-            return told.wait_for_health().dropped.get("full", 0) > 0
-
-        wait_until(is_counted)
-        code, out, err = process.end()
-    assert (code, out) == (ExitCode.FAILURE, "")
-    assert "the disk took no log" in err.splitlines()[-1]
-    assert logs_in(small_disk) == ["ballast"]

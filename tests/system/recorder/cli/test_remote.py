@@ -97,16 +97,6 @@ def test_a_mark_keeps_an_incident(depot: Depot) -> None:
     wait_until(is_kept)
 
 
-def test_what_cannot_be_done_is_refused(depot: Depot) -> None:
-    """Exit code 5, and why."""
-    code, out, err = depot.ask("mark", "--robot", "nobody")
-    assert (code, out, err) == (ExitCode.REFUSED, "depot: refused: nothing of nobody has been heard\n", "")
-    code, out, _ = depot.ask("mark", "-m", "x" * 1001, "--json")
-    assert code == ExitCode.REFUSED
-    assert json.loads(out)["ok"] is False
-    assert not [name for name in logs_in(depot.directory) if "incident" in name]
-
-
 def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
     """Exit code 4, one clear line; whom it looked for. Nor is one of use that was there a moment ago."""
 

@@ -14,7 +14,7 @@ from recorder.cli import record, remote
 from recorder.cli.remote import describe
 from recorder.loop import Recorded
 from recorder.record.accounting import KeyReport
-from schemas.command_line import ExitCode
+from schemas.command_line import CommandError, ExitCode
 from schemas.recording import RecorderReply, RecorderState
 from schemas.settings import RecorderSettings, Settings, ZenohSettings
 from tests.support.messages import recorder_health
@@ -138,3 +138,14 @@ def test_that_a_file_is_not_whole_is_no_success(
     recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
     assert record._report(recorded, as_json=False) == code
     assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
+
+
+def test_why_there_is_no_log_is_said() -> None:
+    """Where samples came, it is not the robot that was silent."""
+    said = {0: "no sample came", 5: "the disk took no log; 5 messages are lost"}
+    for received, code in ((0, ExitCode.UNREACHABLE), (5, ExitCode.FAILURE)):
+        keys = {"fleet/cruiser-1/key": KeyReport(received=received, lost_full=received)}
+        recorded = Recorded(None, 0, 0, received, 0, 0, 0, received, 0, 0, 0, 0, keys)
+        with pytest.raises(CommandError, match=said[received]) as error:
+            record._report(recorded, as_json=False)
+        assert error.value.code is code

@@ -1,6 +1,5 @@
 """The topics of a log, and how their messages are read."""
 
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -9,15 +8,12 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSe
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
-from msgspec import inspect
 
 from recorder.encoding.protobuf import (
     LOGGED,
     compile_encoder,
     descriptor_set,
-    fields,
     message_class,
-    optional_part,
     schema_name,
 )
 from recorder.reading.topics import UNREADABLE, Topic, foreign_decoder, topic_of, typed_decoder
@@ -25,32 +21,9 @@ from schemas.decisions import Decision
 from schemas.messages import Gear
 from tests.support.logs import ENCODE_GEAR, GEAR_TOPIC
 from tests.support.messages import gear
+from tests.support.strategies import any_of
 
 KINDS = [kind for kind in LOGGED if schema_name(kind) != "cruiser.CanFrames"]
-
-
-def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
-    inner = optional_part(kind)
-    return st.none() | values(inner) if inner is not None else _STRATEGIES[type(kind)](kind)
-
-
-_STRATEGIES: dict[type[inspect.Type], Callable[[Any], st.SearchStrategy[Any]]] = {
-    inspect.ListType: lambda kind: st.lists(values(kind.item_type), max_size=3),
-    inspect.DictType: lambda kind: st.dictionaries(values(kind.key_type), values(kind.value_type), max_size=3),
-    inspect.StructType: lambda kind: structs(kind.cls),
-    inspect.EnumType: lambda kind: st.sampled_from(list(kind.cls)),
-    inspect.IntType: lambda kind: st.integers(
-        -(2**63) if kind.ge is None else kind.ge, 2**63 - 1 if kind.le is None else kind.le
-    ),
-    inspect.FloatType: lambda _: st.floats(allow_nan=False),
-    inspect.BoolType: lambda _: st.booleans(),
-    inspect.StrType: lambda _: st.text(max_size=5),
-    inspect.BytesType: lambda _: st.binary(max_size=5),
-}
-
-
-def structs(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
-    return st.builds(kind, **{name: values(field) for name, _, field in fields(kind)})
 
 
 def topic(
@@ -68,7 +41,7 @@ def topic(
 @given(data=st.data())
 def test_what_was_written_is_read_as_what_it_was(kind: type[msgspec.Struct], data: st.DataObject) -> None:
     """Every class that may be a record, with every value: numbers, flags, enumerations, absent and nested ones."""
-    message = data.draw(structs(kind))
+    message = data.draw(any_of(kind))
     again = typed_decoder(kind)(compile_encoder(kind)(message))
     assert again == message
     assert type(again) is kind
