@@ -67,7 +67,7 @@ def play(place: Path, surroundings: Mapping[str, str]) -> subprocess.CompletedPr
     )
 
 
-@pytest.mark.long
+@pytest.mark.night
 def test_a_fleet_is_driven_and_its_operator_locked_out(tmp_path: Path, surroundings: Mapping[str, str]) -> None:
     """Strangers are not answered; settings of another robot change nothing; the log says who commanded."""
     for attempt in range(ATTEMPTS):

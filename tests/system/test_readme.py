@@ -46,6 +46,7 @@ class Run(msgspec.Struct, frozen=True):
         first: what is run before, again and again until it succeeds.
         drives: on a busy machine the guard may stop the robot; it is then reset, and driven once more.
         ended: what is running, and ended before, as by Ctrl-C.
+        beside: what it leaves; only what names that waits for its end.
     """
 
     says: str
@@ -53,6 +54,7 @@ class Run(msgspec.Struct, frozen=True):
     first: tuple[str, ...] = ()
     drives: bool = False
     ended: tuple[str, ...] = ()
+    beside: str = ""
 
 
 class Start(msgspec.Struct, frozen=True):
@@ -72,7 +74,7 @@ PICTURE: Final = (
 )
 
 COMMANDS: Final[dict[str, Run | Start | str]] = {
-    "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/"),
+    "make demo": Run(r"second-operator gave the lease back(.|\n)*log: demo-log/", beside="demo-log"),
     "make demo-desk": "tests/system/gateway/cli/test_demo_desk.py runs it",
     # Five minutes.
     "cruiser sim": Start(r" on 127\.0\.0\.1:", stays=True),
@@ -207,6 +209,7 @@ class Newcomer:
         self.home = home
         self._become = become_nobody()
         self._running: dict[str, tuple[Start, Terminal]] = {}
+        self._beside: dict[str, tuple[Run, Terminal]] = {}
         self._chassis = free_endpoint().removeprefix("tcp/")
         self._endpoint = free_endpoint()
         # Where the page says a port, or where the default is one.
@@ -218,12 +221,18 @@ class Newcomer:
         }
 
     def run(self, name: str, text: str, what: Run) -> None:
-        """Run it to its end."""
+        """Run it to its end, or begin it beside what follows."""
         for one in what.ended:
             self.end(one)
         for one in what.first:
             self._succeed(one)
         terminal = self._start(text)
+        if what.beside:
+            self._beside[name] = (what, terminal)
+            return
+        self._finish(name, text, what, terminal)
+
+    def _finish(self, name: str, text: str, what: Run, terminal: Terminal) -> None:
         code = terminal.wait()
         for _ in range(ATTEMPTS if what.drives else 0):
             if code in what.codes:
@@ -251,13 +260,15 @@ class Newcomer:
 
     def end_all(self) -> None:
         """Ctrl-C in every terminal, the last first."""
+        self._await("")
         for name in reversed(list(self._running)):
             self.end(name)
 
     def kill_all(self) -> None:
         """Leave nothing behind where the test has failed."""
-        for _, terminal in self._running.values():
-            terminal.process.terminate()
+        for _, terminal in (*self._running.values(), *self._beside.values()):
+            with suppress(ProcessLookupError):
+                os.killpg(terminal.process.pid, signal.SIGTERM)
             terminal.wait()
 
     def _succeed(self, name: str) -> None:
@@ -267,7 +278,15 @@ class Newcomer:
             return
         wait_until(lambda: self._start(name).wait() == 0)
 
+    def _await(self, text: str) -> None:
+        """Wait for those whose outcome is named here; for an empty text, for all."""
+        for name, (what, terminal) in list(self._beside.items()):
+            if not text or what.beside in text:
+                self._finish(name, name, what, terminal)
+                del self._beside[name]
+
     def _start(self, text: str) -> Terminal:
+        self._await(text)
         text = text.replace("FILE...", shlex.join(map(str, sorted(self.home.glob("logs/*Z.mcap")))))
         for there, here in self._ports.items():
             text = text.replace(there, here)
@@ -283,7 +302,8 @@ class Newcomer:
         if text.startswith("cruiser gateway"):
             environment["CRUISER_ZENOH_LISTEN"] = self._endpoint
         elif "--listen" not in text:
-            environment["CRUISER_ZENOH_CONNECT"] = self._endpoint
+            # The demo has a robot of the same name, on a network of its own.
+            environment["CRUISER_ZENOH_CONNECT"] = free_endpoint() if text.startswith("make") else self._endpoint
         words = shlex.split(text) if not text.startswith("import ") else [sys.executable, "-c", SETTINGS + text]
         if words[0] == "make":
             # The recipe as it is in a checkout, without the installation.

@@ -86,6 +86,7 @@ def test_a_robot_is_seen_at_once_with_why_it_stands(scene: DeskScene, context: B
     page.locator(".tile", has_text="cruiser-1").wait_for()
 
 
+@pytest.mark.night
 def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserContext) -> None:
     """The words, and the language of the page for who reads it aloud."""
     page = open_robot(context, scene)
@@ -98,7 +99,7 @@ def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserCo
 
 
 # All ways, each of them twenty times over, by night: tests/nightly/test_desk.py.
-@pytest.mark.parametrize("let_go", [let_go_of_the_pointer, shut_the_lid], ids=lambda way: way.__name__)
+@pytest.mark.parametrize("let_go", [let_go_of_the_pointer, by_night(shut_the_lid)], ids=lambda way: way.__name__)
 def test_whatever_takes_the_pointer_away_stops_the_robot(
     scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
 ) -> None:
@@ -148,6 +149,7 @@ def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, con
     reset(other)
 
 
+@pytest.mark.night
 def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None:
     """Of a robot that hangs it says that it did not reply; of a desk that is gone, that nothing was sent."""
     with desk_scene() as scene:
@@ -254,6 +256,7 @@ def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context:
         assert scene.desk.stop() == 0
 
 
+@pytest.mark.night
 def test_a_stop_fails_for_no_name(scene: DeskScene, context: BrowserContext) -> None:
     """Whatever another page of this address has left in the browser."""
     page = open_robot(context, scene)
@@ -274,6 +277,7 @@ LEAVE_WHILE_IT_ASKS = """() => {
 }"""
 
 
+@pytest.mark.night
 def test_who_leaves_while_the_lease_is_asked_for_engages_nothing(
     scene: DeskScene, context: BrowserContext
 ) -> None:
@@ -313,6 +317,7 @@ def name_page(page: Page, name: str) -> None:
     page.get_by_label("Your name").blur()
 
 
+@pytest.mark.night
 def test_two_browsers_have_two_names_and_are_asked_for_them_once(
     scene: DeskScene, running_browser: Browser
 ) -> None:
@@ -341,6 +346,7 @@ def test_two_browsers_have_two_names_and_are_asked_for_them_once(
         wait_until(lambda: is_driven(first))
 
 
+@pytest.mark.night
 def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserContext) -> None:
     """As the chassis says; without control there is no button."""
     page = open_robot(context, scene)
@@ -356,6 +362,7 @@ def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserConte
     wait_ready(page)
 
 
+@pytest.mark.night
 def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
     scene: DeskScene, context: BrowserContext
 ) -> None:
@@ -375,6 +382,7 @@ def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
     row.get_by_text("acknowledged by desk-").wait_for(state="hidden")
 
 
+@pytest.mark.night
 def test_a_kiosk_shows_one_robot_and_leads_nowhere(scene: DeskScene, context: BrowserContext) -> None:
     """It can be stopped, and driven by who may."""
     page = context.new_page()
@@ -484,6 +492,7 @@ def test_a_browser_signs_with_a_key_of_its_own(
     assert taken == "InvalidAccessError"
 
 
+@pytest.mark.night
 def test_a_bundle_of_somebody_else_is_refused(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext
 ) -> None:
@@ -496,6 +505,7 @@ def test_a_bundle_of_somebody_else_is_refused(
     assert page.get_by_text("Open mode").is_visible()
 
 
+@pytest.mark.night
 def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page
 
+from tests.support.nights import every_value
 from tests.support.processes.desk import DeskScene, desk_scene, drive, open_robot
 from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
@@ -40,8 +41,9 @@ def victim(scene: DeskScene, name: str) -> Running:
     return running
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-@pytest.mark.parametrize("name", ["gateway", "desk", "router"])
+@pytest.mark.parametrize(
+    ("name", "number"), every_value(["gateway", "desk", "router"], [signal.SIGKILL, signal.SIGSTOP])
+)
 def test_a_robot_that_is_not_heard_is_nobody_s(
     name: str, number: signal.Signals, running_browser: Browser, tmp_path: Path
 ) -> None:
@@ -91,6 +93,7 @@ def test_what_waited_in_a_desk_that_hung_is_not_what_the_robot_does(
         assert not page.evaluate("window.wasShown")
 
 
+@pytest.mark.night
 def test_what_is_shown_again_after_a_pause_is_all_of_it(running_browser: Browser) -> None:
     """A desk that goes on after a moment sends only what has changed; a robot that has not is there again too."""
     with desk_scene() as scene, running_browser.new_context() as context:

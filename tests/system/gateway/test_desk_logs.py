@@ -250,6 +250,7 @@ def age_ms(page: Page) -> list[int]:
     return [int(age) for age in re.findall(r"(\d+) ms", page.locator(".link").inner_text())[:1]]
 
 
+@pytest.mark.night
 @pytest.mark.timeout(600)
 def test_a_driven_robot_notices_no_question_about_logs(tmp_path: Path, running_browser: Browser) -> None:
     """However many come, whatever the logs unpack to: it is driven on, and two processes read logs at most."""
