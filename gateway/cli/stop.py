@@ -113,18 +113,16 @@ def _stop(
     arguments: argparse.Namespace, robot: str, settings: Settings, stopped: Callable[[], bool]
 ) -> StopReport:
     """Stop, and say it first where nothing was sent, or nobody can look: the line with the cause is long."""
-    many = "*" in robot
-    who, button = ("all robots" if robot == keys.ALL else robot, BUTTONS if many else BUTTON)
-    heard: list[StopReport] = []
+    who, button = "all robots" if robot == keys.ALL else robot, BUTTONS if "*" in robot else BUTTON
+    silent: list[str] = []
 
     def tell(report: StopReport) -> None:
         if robot == keys.ALL and not report.linked:
             sys.stderr.write(f"{who}: {NOTHING_SENT}: there is no link. {button}\n")
-        if many and robot != keys.ALL and not any(getattr(report, field) for field in NAMED):
+        if "*" in robot and robot != keys.ALL and not any(getattr(report, field) for field in NAMED):
             # A pattern that nobody answers to is as silent as a name.
-            report = msgspec.structs.replace(report, silent=[robot])
-        heard.append(report)
-        _tell(report, as_json=arguments.json)
+            silent.append(robot)
+        _tell(msgspec.structs.replace(report, silent=silent or report.silent), as_json=arguments.json)
 
     try:
         report = remote_stop.stop_from_here(
@@ -133,7 +131,8 @@ def _stop(
             arguments.operator or "",
             arguments.timeout,
             stopped,
-            told=tell if arguments.wait else None,
+            wait=arguments.wait,
+            told=tell,
         )
     except NotSentError as error:
         sys.stderr.write(f"{who}: {NOTHING_SENT}. {button}\n")
@@ -141,11 +140,9 @@ def _stop(
     except CommandError:
         sys.stderr.write(f"{who}: NOT SEEN TO STOP: it was sent, and nothing is seen. {button}\n")
         raise
-    if not arguments.wait:
-        tell(report)
     for name in report.unfinished:
         sys.stderr.write(f"{name}: it stands; its stop sequence is not seen to end: 'cruiser why {name}'\n")
-    return msgspec.structs.replace(heard[0], unfinished=report.unfinished)
+    return msgspec.structs.replace(report, silent=silent or report.silent)
 
 
 def _code(report: StopReport, robots: list[str], settings: Settings, waited: str) -> ExitCode:

@@ -159,7 +159,8 @@ def stop_from_here(
     timeout_s: float,
     stopped: Callable[[], bool] = lambda: False,
     *,
-    told: Told | None = None,
+    wait: bool = False,
+    told: Told = lambda _report: None,
 ) -> StopReport:
     """Stop a robot, several by a pattern, or all with ``keys.ALL``, over sessions of our own.
 
@@ -167,7 +168,7 @@ def stop_from_here(
         settings: where the robots are, and in signed mode where keys and grant are.
         operator: who stops; if empty, the name of the grant, or else the login name.
         stopped: gives up when it turns true.
-        told: with it the end of the stop sequences is waited for too.
+        wait: for the end of the stop sequences too.
     """
     root = settings.robot.root
     with ExitStack() as stack:
@@ -194,9 +195,9 @@ def stop_from_here(
         stopping = _Stopping(port, root, robot, look, _unsigned if proof is None else proof.doubt)
         reached_all = proof is None or robot != keys.ALL or proof.may_stop_all
         report = msgspec.structs.replace(_settle(stopping, timeout_s, stopped), reached_all=reached_all)
-        if told is None:
-            return report
         told(report)
+        if not wait:
+            return report
         end_s = time.monotonic() + REST_S
         while (unfinished := stopping.unfinished(report.stopped)) and not stopped() and time.monotonic() < end_s:
             stopping.hear()

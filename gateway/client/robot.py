@@ -470,8 +470,7 @@ def stop_all(
     Raises:
         CommandError: a name or an endpoint is not of its form.
     """
-    told = (lambda _: None) if wait else None
-    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s, told=told)
+    return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s, wait=wait)
 
 
 def _problem(link: RobotLink) -> str:

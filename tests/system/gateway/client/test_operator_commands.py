@@ -158,8 +158,18 @@ def test_an_action_uses_the_lease_of_another_terminal(capsys: Capture) -> None:
 
 
 def test_stop_and_reset(capsys: Capture) -> None:
-    """Stop needs no lease; reset acquires one for itself; a second reset finds nothing."""
+    """Each returns when it is done. Stop needs no lease; reset acquires one, or uses that of another terminal."""
     with FakeRobot() as fake:
+        with fake.engaged() as (robot, held):
+            wait_until(lambda: fake.speed_mps > 0.2, lambda: held.drive(1.0))
+            assert run(stop, fake.listen, "cruiser-1", "--no-wait") == 0
+            assert robot.state().state.state is ArbiterState.STOPPING
+            assert run(stop, fake.listen, "cruiser-1") == 0
+            assert fake.state is ArbiterState.STANDBY
+            fails(ExitCode.REFUSED, "lease_held", reset, fake.listen, "cruiser-1")
+            assert run(reset, fake.listen, "cruiser-1", "--lease", str(held.number)) == 0
+        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--seconds", "0.3") == 0
+        assert capsys.readouterr().out.splitlines()[:3] == [STOPPED, STOPPED, "cruiser-1: cleared remote_stop"]
         assert run(stop, fake.listen, "cruiser-1") == 0
         assert run(stop, fake.listen, "--all", "--json") == 0
         assert Reason.REMOTE_STOP in fake.latched
@@ -189,23 +199,6 @@ def test_a_stop_of_somebody_elses_is_reset_by_name(capsys: Capture) -> None:
         assert run(why, fake.listen, "cruiser-1") == ExitCode.FAILURE
         assert "stopped by bob" in capsys.readouterr().out
         assert run(reset, fake.listen, "cruiser-1", "--of", "bob") == ExitCode.OK
-
-
-def test_stop_reset_and_drive_follow_each_other(capsys: Capture) -> None:
-    """Each returns when it is done: nothing has to be waited for. A lease of another is named, and left alone."""
-    with FakeRobot() as fake:
-        with fake.engaged() as (robot, held):
-            wait_until(lambda: fake.speed_mps > 0.2, lambda: held.drive(1.0))
-            assert run(stop, fake.listen, "cruiser-1", "--no-wait") == 0
-            assert robot.state().state.state is ArbiterState.STOPPING
-            assert run(stop, fake.listen, "cruiser-1") == 0
-            assert fake.state is ArbiterState.STANDBY
-            fails(ExitCode.REFUSED, "lease_held", reset, fake.listen, "cruiser-1")
-            assert run(reset, fake.listen, "cruiser-1", "--lease", str(held.number)) == 0
-            assert fake.flow.arbiter.leases.held is not None
-        assert run(drive, fake.listen, "cruiser-1", "--speed", "0.2", "--seconds", "0.3") == 0
-    said = capsys.readouterr().out.splitlines()[:3]
-    assert said == [STOPPED, STOPPED, "cruiser-1: cleared remote_stop"]
 
 
 def test_stop_takes_several_names_and_patterns(capsys: Capture) -> None:
@@ -238,6 +231,9 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
             run(stop, fake.listen, "cruiser-2", until=lambda: deaf.has_heard(before + 1))
         assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
         assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
+        said = capsys.readouterr()
+    assert said.out == "cruiser-1: stops, latched until a reset\n"
+    assert said.err.startswith("cruiser-2: NO ANSWER")
     for words in ([], ["cruiser-1", "--all"]):
         fails(ExitCode.USAGE, "", stop, free_endpoint(), *words)
 

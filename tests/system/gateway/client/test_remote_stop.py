@@ -43,20 +43,6 @@ def test_a_robot_is_said_to_stop_where_it_answers_and_is_seen_to(
         assert not other.latched
 
 
-def test_a_fleet_is_stopped_and_who_is_silent_is_named() -> None:
-    """Robots behind another are reached, and those that are connected and do not answer are named."""
-    with (
-        FakeRobot("cruiser-1") as first,
-        FakeRobot("cruiser-2", connect=first.listen) as second,
-        FakeRobot("cruiser-3", connect=first.listen, deaf=True) as third,
-    ):
-        report = stop_all("first", first.there, 4)
-        assert report.stopped == ["cruiser-1", "cruiser-2"]
-        assert report.silent == ["cruiser-3"]
-        for robot in (first, second, third):
-            assert Reason.REMOTE_STOP in robot.latched
-
-
 def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
     """Over a slow way back the tokens of many robots do not come in time: there may be more than those named."""
     with FakeFleet(400) as fleet, TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy:

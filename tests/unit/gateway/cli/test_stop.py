@@ -24,9 +24,8 @@ from tests.support.messages import HEALTH, ROBOT, SECOND, STANDBY, WALL_NS, safe
 
 
 def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
-    def stop_from_here(*_: object, told: Callable[[StopReport], None] | None) -> StopReport:
-        if told is not None:
-            told(report)
+    def stop_from_here(*_: object, told: Callable[[StopReport], None], **__: object) -> StopReport:
+        told(report)
         return report
 
     monkeypatch.setattr(remote_stop, "stop_from_here", stop_from_here)

@@ -80,14 +80,6 @@ def test_the_stream_begins_when_engage_is_asked_for() -> None:
     assert not stream.is_wanted
 
 
-def test_a_stop_after_refused_commands_says_so() -> None:
-    """Whoever drove over a link that is too slow does not only read that the robot is not engaged."""
-    stream = stream_that_saw(ENGAGED)
-    detail = "none for 310 ms; 12 commands refused as too old, 1470 ms"
-    goes_on_to_see(stream, msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=detail))
-    assert stream.ending == DriveEnd(Reason.DEADMAN, f"{TEXTS[Reason.DEADMAN].means}; {detail}")
-
-
 def test_while_nothing_is_driven_the_stream_asks_for_zero_speed_and_leaves_the_wheels() -> None:
     """It begins while the robot is being engaged, at the angle that the chassis is told already."""
     for state in (ENGAGING, ENGAGED):
@@ -194,24 +186,52 @@ def test_a_number_of_any_library_is_sent_as_a_float(one: float) -> None:
     assert (command.speed_mps, command.curvature_1pm) == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("state", [STOPPED, STANDBY, ENGAGING])
-def test_a_robot_that_is_engaged_no_more_ends_the_stream(state: SafetyState) -> None:
-    """Nothing is sent from then on, also if it were engaged again by somebody; the reason is the robot's."""
-    stream = driven(1.0, 0.0, 0.5)
-    goes_on_to_see(stream, state)
-    stream.see(ENGAGED, START_NS)
-    assert stream.command(START_NS) is None
-    assert stream.ending is not None
-    assert not stream.ending.lease_lost
-    assert stream.ending.reason is (Reason.FRONT_BUMPER if state is STOPPED else Reason.NOT_ENGAGED)
+def held_by(state: SafetyState, holder: str, **changes: object) -> SafetyState:
+    return msgspec.structs.replace(state, lease_holder=holder, **changes)
 
 
-def test_states_of_before_do_not_end_what_has_not_begun() -> None:
-    """The reply to engage may overtake the states that were on their way."""
-    stream = stream_that_saw(STOPPED, STANDBY)
-    assert stream.ending is None
+REFUSED = "none for 310 ms; 12 commands refused as too old, 1470 ms"
+LATE = msgspec.structs.replace(STOPPED, stop_reason=Reason.DEADMAN, stop_detail=REFUSED)
+ANEW = held_by(STANDBY, "", tick=102 + RUN_TICKS)
+SHOWN = TEXTS[Reason.DEADMAN].means
+ENDINGS: dict[str, tuple[list[SafetyState], list[SafetyState], DriveEnd | None]] = {
+    "a stop": ([ENGAGED], [STOPPED], DriveEnd(Reason.FRONT_BUMPER, TEXTS[Reason.FRONT_BUMPER].means)),
+    "a stop after refused commands says so": ([ENGAGED], [LATE], DriveEnd(Reason.DEADMAN, f"{SHOWN}; {REFUSED}")),
+    "standby": ([ENGAGED], [STANDBY], DriveEnd(Reason.NOT_ENGAGED, TEXTS[Reason.NOT_ENGAGED].means)),
+    "engaging": ([ENGAGED], [ENGAGING], DriveEnd(Reason.NOT_ENGAGED, TEXTS[Reason.NOT_ENGAGED].means)),
+    "states from before it was engaged, on their way yet": ([STANDBY], [STOPPED, STANDBY], None),
+    "somebody has the lease, and then another": (
+        [ENGAGED],
+        [held_by(ENGAGED, "second"), held_by(STANDBY, "third")],
+        DriveEnd(Reason.LEASE_TAKEN, "by second", lease_lost=True),
+    ),
+    "nobody has it": ([ENGAGED], [held_by(ENGAGED, "")], DriveEnd(Reason.LEASE_EXPIRED, lease_lost=True)),
+    "it was never seen to be ours: the reply to acquire came first": ([], [held_by(STANDBY, "second")], None),
+    "another run of the gateway": ([ENGAGED], [ANEW], DriveEnd(Reason.NO_LEASE, BEGAN_ANEW, lease_lost=True)),
+    "a run that goes on": (
+        [ENGAGED],
+        [held_by(STANDBY, "", tick=300)],
+        DriveEnd(Reason.LEASE_EXPIRED, lease_lost=True),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ENDINGS)
+def test_what_the_robot_goes_on_saying_ends_the_stream(name: str) -> None:
+    """Nothing is sent from then on, also if it were engaged again by somebody; a lease that is lost stays so."""
+    before, then, ending = ENDINGS[name]
+    stream = stream_that_saw()
+    for state in before:
+        stream.see(state, START_NS - 200 * MS)
+    for state in then:
+        goes_on_to_see(stream, state)
     stream.see(ENGAGED, START_NS)
-    assert stream.engaged
+    assert stream.ending == ending
+    assert (stream.command(START_NS) is None) is (ending is not None)
+    if stream.is_lost:
+        stream.lose(Reason.NO_LEASE)
+        stream.expect_engaged()
+        assert stream.ending == ending
 
 
 def test_engaging_again_begins_at_zero() -> None:
@@ -221,26 +241,6 @@ def test_engaging_again_begins_at_zero() -> None:
     stream.expect_engaged()
     stream.see(ENGAGED, START_NS)
     assert commanded(stream).speed_mps == 0.0
-
-
-@pytest.mark.parametrize(("holder", "reason"), [("second", Reason.LEASE_TAKEN), ("", Reason.LEASE_EXPIRED)])
-def test_a_lease_that_is_lost_ends_the_stream_for_good(holder: str, reason: Reason) -> None:
-    """No engaging brings it back, and its reason stays whatever comes after."""
-    stream = stream_that_saw(ENGAGED)
-    goes_on_to_see(stream, msgspec.structs.replace(ENGAGED, lease_holder=holder))
-    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="third"))
-    stream.lose(Reason.NO_LEASE)
-    stream.expect_engaged()
-    assert stream.ending is not None
-    assert stream.is_lost
-    assert stream.ending.reason is reason
-
-
-def test_a_lease_that_was_never_seen_to_be_ours_is_not_lost() -> None:
-    """The reply to acquire may overtake the states that name the holder of before."""
-    stream = stream_that_saw()
-    goes_on_to_see(stream, msgspec.structs.replace(STANDBY, lease_holder="second"))
-    assert not stream.is_lost
 
 
 def test_giving_up_is_no_failure() -> None:
@@ -357,21 +357,11 @@ def test_the_target_of_a_new_engagement_is_no_command_of_the_last_one() -> None:
     assert stream.ending is None
 
 
-@pytest.mark.parametrize("is_renewal_refused", [False, True])
-def test_a_lease_that_a_gateway_took_to_its_grave_was_not_renewed_too_late(is_renewal_refused: bool) -> None:  # noqa: FBT001 - drawn
-    """Another run of the gateway knows nothing of it; a run that goes on has let it expire."""
-    held = msgspec.structs.replace(ENGAGED, lease_holder="first")
-    stream = stream_that_saw(held)
-    anew = msgspec.structs.replace(STANDBY, tick=102 + RUN_TICKS, lease_holder="")
-    if is_renewal_refused:
-        stream.see(anew, START_NS)
-        stream.lose(Reason.NO_LEASE)
-    else:
-        goes_on_to_see(stream, anew)
+def test_a_lease_whose_renewal_another_run_refused_was_not_renewed_too_late() -> None:
+    """The other run knows nothing of it."""
+    stream = stream_that_saw(ENGAGED, ANEW)
+    stream.lose(Reason.NO_LEASE)
     assert stream.ending == DriveEnd(Reason.NO_LEASE, BEGAN_ANEW, lease_lost=True)
-    expired = stream_that_saw(held)
-    goes_on_to_see(expired, msgspec.structs.replace(STANDBY, tick=300, lease_holder=""))
-    assert expired.ending == DriveEnd(Reason.LEASE_EXPIRED, lease_lost=True)
 
 
 MOVES = msgspec.structs.replace(STATE, speed_mps=0.5)
