@@ -50,9 +50,6 @@ class Asked(msgspec.Struct):
     """The subject of a question.
 
     Attributes:
-        logs: the files, by their beginning.
-        faults: those of the parts that could not be read.
-        start_ns, end_ns: the first and the last log time of all.
         from_ns: the first log time that is asked about...
         to_ns: ...and the first one that is not any more.
     """

@@ -46,11 +46,7 @@ from schemas.subjects import RECORDER_CHUNK
 
 
 class Structure:
-    """Follows a file through its data, and then compares its summary.
-
-    Attributes:
-        messages: of each channel.
-    """
+    """Follows a file through its data, and then compares its summary."""
 
     def __init__(self, findings: Findings) -> None:
         self.messages: Counter[int] = Counter()
@@ -248,12 +244,8 @@ class LogCheck(msgspec.Struct, frozen=True):
     """The result of checking a log.
 
     Attributes:
-        whole: nothing is wrong with the file itself.
         is_being_written: a recorder has it open; that it has no end yet is no finding.
-        messages: that were read.
-        missed: samples missed on all channels.
         frames_lost: raw frames that never came, by their alive counters; see ``frames.AliveCount``.
-        frames: the alive counters of each identifier.
         findings: the faults, those of the file first; ``untold`` more are about the file, too. Last is what is no
             fault, and worth knowing.
     """

@@ -136,7 +136,6 @@ class FollowingCount:
     """Counts messages that are in the file in their order; the frames of a batch share its sequence.
 
     Attributes:
-        missed: samples that never came.
         first_ns: log time of the message behind the first gap; None if there is none.
         returns: how often the sequence went on where it was before the sample between.
     """
@@ -255,10 +254,8 @@ class Between(msgspec.Struct, frozen=True):
     """Samples of a robot that are missing between two logs.
 
     Attributes:
-        robot: the first chunks of its keys.
         samples: how many, on so many ``topics``.
         from_ns, to_ns: log times of the last message before, and of the first one after.
-        before, after: the two logs.
     """
 
     robot: str
@@ -271,42 +268,33 @@ class Between(msgspec.Struct, frozen=True):
 
 
 def between(logs: Iterable[tuple[str, dict[str, ChannelEnds]]]) -> list[Between]:
-    """Find what is in none of the logs. Where a gateway started again between two logs, nothing is counted."""
+    """Find what is in none of the logs, of which each has a path, and the ends of its channels by topic.
+
+    Where a gateway started again between two logs, nothing is counted.
+    """
     by_topic: dict[str, list[tuple[ChannelEnds, str]]] = {}
     for path, ends in logs:
         for topic, one in ends.items():
             by_topic.setdefault(topic, []).append((one, path))
-    found: dict[tuple[str, str, str], Between] = {}
+    found: dict[tuple[str, str, str], list[tuple[int, int, int]]] = {}
     for topic, parts in by_topic.items():
-        for new in _of_topic(topic, sorted(parts, key=lambda part: part[0].first_ns)):
-            place = new.robot, new.before, new.after
-            found[place] = _added(found[place], new) if place in found else new
-    return sorted(found.values(), key=lambda one: (one.from_ns, one.robot))
-
-
-def _of_topic(topic: str, parts: list[tuple[ChannelEnds, str]]) -> Iterator[Between]:
-    parsed = keys.parse(topic)
-    robot = f"{parsed.root}/{parsed.robot}" if parsed and parsed.robot else topic
-    before, path = parts[0]
-    for after, next_path in parts[1:]:
-        step = (after.first - before.last - 1) % SEQUENCE_SPAN
-        if after.first_ns >= before.last_ns and 0 < step < RESTART_STEP:
-            yield Between(robot, step, 1, before.last_ns, after.first_ns, path, next_path)
-        # An incident's log lies within another.
-        if after.last_ns > before.last_ns:
-            before, path = after, next_path
-
-
-def _added(one: Between, other: Between) -> Between:
-    return Between(
-        one.robot,
-        one.samples + other.samples,
-        one.topics + other.topics,
-        min(one.from_ns, other.from_ns),
-        max(one.to_ns, other.to_ns),
-        one.before,
-        one.after,
-    )
+        parsed = keys.parse(topic)
+        robot = f"{parsed.root}/{parsed.robot}" if parsed and parsed.robot else topic
+        (before, path), *rest = sorted(parts, key=lambda part: part[0].first_ns)
+        for after, next_path in rest:
+            step = (after.first - before.last - 1) % SEQUENCE_SPAN
+            if after.first_ns >= before.last_ns and 0 < step < RESTART_STEP:
+                gap = step, before.last_ns, after.first_ns
+                found.setdefault((robot, path, next_path), []).append(gap)
+            # An incident's log lies within another.
+            if after.last_ns > before.last_ns:
+                before, path = after, next_path
+    missing = [
+        Between(robot, sum(steps), len(steps), min(from_ns), max(to_ns), first, second)
+        for (robot, first, second), gaps in found.items()
+        for steps, from_ns, to_ns in [zip(*gaps, strict=True)]
+    ]
+    return sorted(missing, key=lambda one: (one.from_ns, one.robot))
 
 
 FRAME_BYTES: Final = 8
@@ -345,9 +333,6 @@ class AliveCount:
     """Follows the alive counter of one identifier.
 
     Attributes:
-        frames: frames seen.
-        lost: frames that the counter passed over.
-        repeated: frames with the counter of the one before.
         corrupt: frames with a wrong checksum; their counter is not read, and they are not lost.
         outages: gaps in time in which the counter may have gone round, and steps back of the clock.
         unseen: frames lost in outages beyond those that the counter passed over: 16 for each time that it went
@@ -426,11 +411,7 @@ class AliveCount:
 
 
 class FrameCount:
-    """Follows the alive counters of all identifiers of one channel of raw frames.
-
-    Attributes:
-        counts: of each identifier that was seen.
-    """
+    """Follows the alive counters of all identifiers of one channel of raw frames."""
 
     def __init__(self) -> None:
         self.counts: dict[int, AliveCount] = {}
@@ -490,7 +471,6 @@ class ChannelCheck(msgspec.Struct, frozen=True):
 
     Attributes:
         is_read: its messages were held against its schema; of an encoding that is not known here they cannot be.
-        unreadable: messages that are not what their schema says.
         missed: samples that never came, by the gaps in ``sequence``; None where a gap says nothing.
         ends: its first and last message; None where a gap says nothing, and for messages that may have come later.
     """
@@ -506,11 +486,7 @@ class ChannelCheck(msgspec.Struct, frozen=True):
 
 
 class Channel:
-    """Follows one channel through a log.
-
-    Attributes:
-        frames: the counts of raw frames, if it has any.
-    """
+    """Follows one channel through a log."""
 
     def __init__(self, record: records.Channel, schema: records.Schema | None, findings: Findings) -> None:
         self.topic = record.topic

@@ -56,7 +56,6 @@ class Input(msgspec.Struct, frozen=True):
     Attributes:
         path: as it was given; with escapes where it cannot be printed.
         sha256: of the whole file, in hexadecimal.
-        rows: of it that are in the dataset.
         faults: parts that could not be read; ``fault_count`` of them, the first ones listed.
     """
 
@@ -72,8 +71,6 @@ class Part(msgspec.Struct, frozen=True):
     """A Parquet file.
 
     Attributes:
-        path: within the dataset.
-        table: its table's name in SQL.
         robot: empty if it is no robot's.
         columns: key into the manifest's ``schemas``.
     """
@@ -91,7 +88,6 @@ class Manifest(msgspec.Struct, frozen=True):
     """The manifest.
 
     Attributes:
-        product: the last writer.
         schemas: columns by a hash of them.
     """
 

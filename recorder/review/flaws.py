@@ -24,10 +24,8 @@ class Finding(msgspec.Struct):
     """Something wrong with a log.
 
     Attributes:
-        path: the file.
         about: the file itself (its structure, its checksums, its schemas), what it lacks of what was said, or
             what is allowed and worth knowing.
-        what: in words.
         count: number of times; of samples and frames, their number.
         topic: the channel that it is about; empty if it is about none.
         offset: its first place in the file, in bytes; None if it has no such place.
@@ -45,9 +43,6 @@ class Finding(msgspec.Struct):
 
 class Findings:
     """Gathers the findings of one file.
-
-    Args:
-        path: the file.
 
     Attributes:
         told: those that are listed.

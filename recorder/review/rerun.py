@@ -17,7 +17,7 @@ distance.
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -32,7 +32,6 @@ from schemas import codec
 from schemas.codec import Sample
 from schemas.decisions import Journal
 from schemas.journal import COMMAND_RULES
-from schemas.settings import Settings
 from schemas.subjects import BY_NAME
 
 JOURNAL: Final = "journal"
@@ -52,9 +51,7 @@ class PartEnd(msgspec.Struct, frozen=True):
     """The extent of a part of a run.
 
     Attributes:
-        run: the run's number.
         first: the place of its first input in the run, from 0.
-        inputs: their number.
         detail: the gap before or behind it; empty if there is none.
     """
 
@@ -189,8 +186,6 @@ class Difference(msgspec.Struct, frozen=True):
     """A message that is not the same.
 
     Attributes:
-        subject: in the table of subjects.
-        time_ns: nanoseconds since 1970.
         what: ``changed`` or ``only recorded``.
         fields: of a changed one each field that differs: what was recorded, and what comes out again.
         message: of one that was only recorded the whole of it.
@@ -207,9 +202,6 @@ class Comparison:
     """Compares the two sides.
 
     Attributes:
-        same: number of equal messages, by subject.
-        differences: the first ones.
-        difference_count: all of them.
         unrecorded: messages that come out again and are not in the log, by subject: it lost them, or was not to
             hold them.
         given_up: messages that waited too long for their counterpart, or came too long after it.
@@ -344,15 +336,10 @@ DETAIL_MAX: Final = 300
 """Characters of an error that are shown."""
 
 
-Rerun = Callable[[Settings, Iterable[Journal]], Iterator[Sample]]
-"""Settings, and the journals of one run from its first input on, to all that comes out."""
-
-
 class RerunResult(msgspec.Struct, frozen=True):
     """A run, run again.
 
     Attributes:
-        run: its number.
         first: the place of the first input that was there, from 0: behind a gap a run continues in another result.
         inputs: so many there were without a gap.
         detail: the missing part of the run, or why nothing was run again; empty if all was.
@@ -384,19 +371,19 @@ class RerunResult(msgspec.Struct, frozen=True):
         return min((one.time_ns for one in self.differences), default=None)
 
 
-def rerun_parts(player: RerunPlayer, again: Rerun = rerun) -> Iterator[RerunResult]:
+def rerun_parts(player: RerunPlayer) -> Iterator[RerunResult]:
     """Every run that a player plays, run again with the settings that it had."""
     while player.next_part():
-        yield _rerun(player, again)
+        yield _rerun(player)
 
 
-def _rerun(player: RerunPlayer, again: Rerun) -> RerunResult:
+def _rerun(player: RerunPlayer) -> RerunResult:
     text = player.configuration()
     if text is None:
         return player.skip(NO_CONFIGURATION)
     start_ns = 0
     try:
-        for sample in again(settings_from(text), player.journals()):
+        for sample in rerun(settings_from(text), player.journals()):
             if sample.subject in _ROUTES:
                 for key, data in records_of(sample):
                     start_ns = start_ns or key[1]

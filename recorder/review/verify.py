@@ -54,13 +54,9 @@ class RobotProofReport(msgspec.Struct, frozen=True):
         is_vouched: the authority was given by who asks; else nobody vouches for it, as where the logs are under
             another one than was given.
         robot_key: the robot's, hexadecimal; empty if the logs do not hold its grant.
-        files: the log files that hold something of the robot.
-        grants: those that were used.
-        holders: the lease's holders.
         verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
         unproven_stops: stops that nobody signed right before or after. A stop is served in any case.
-        findings: faults, and facts that cannot be decided.
         unread: parts of the logs that cannot be read. Whose they are is not known.
     """
 

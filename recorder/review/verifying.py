@@ -79,9 +79,7 @@ class ProofFinding(msgspec.Struct, frozen=True):
     """A finding.
 
     Attributes:
-        what: in words.
         time_ns: the robot's time of the first, nanoseconds since 1970; None if it is of no time.
-        count: samples, or requests.
         until_ns: the robot's time of the last; None if there is but one time.
     """
 
@@ -105,7 +103,6 @@ class ShownStatement(msgspec.Struct, frozen=True):
 
     Attributes:
         time_ns: when it said so, by its clock, nanoseconds since 1970.
-        text: the statement with its chain and signatures.
     """
 
     robot: str
@@ -118,7 +115,6 @@ class GrantInfo(msgspec.Struct, frozen=True):
 
     Attributes:
         id: the identifier, hexadecimal.
-        name, role, serial, key: of the holder.
         not_before, not_after: the time in which all of its chain holds, seconds since 1970.
         signers: names of those above it in the chain, the nearest first.
         root: the key of the authority at which the chain ends, hexadecimal.
@@ -156,8 +152,6 @@ class LogAuthority:
     Attributes:
         is_vouched: the authority's keys were given from outside; else the log is all there is to believe.
         roots: the authority's active keys, in the order in which they were in force; none if the log names none.
-        robot_keys: keys that the log says are this robot's.
-        findings: statements that do not hold.
     """
 
     def __init__(self, robot: str, given: Sequence[Trust], statements: Iterable[ShownStatement]) -> None:
@@ -512,8 +506,6 @@ class SignedVerb(msgspec.Struct, frozen=True):
         time_ns: by the robot's clock, nanoseconds since 1970.
         operator: by the key expression.
         grant: the identifier of the grant; empty if there was no proof.
-        holds: signature and grant hold.
-        detail: why not.
     """
 
     time_ns: int
@@ -529,7 +521,6 @@ class RefusedProof(msgspec.Struct):
 
     Attributes:
         operator: by the key expression, so as they said themselves.
-        reason: the robot's.
         first_ns, last_ns: by the robot's clock, nanoseconds since 1970.
     """
 
@@ -545,10 +536,8 @@ class Holder(msgspec.Struct):
     """Somebody held the lease.
 
     Attributes:
-        lease: its public identifier.
         grant: identifier of the grant under which it was given; empty if the log does not show it.
         from_ns, to_ns: the first and the last request under it that was accepted, by the robot's clock.
-        drives: drive commands that were accepted.
     """
 
     lease: int
@@ -565,9 +554,7 @@ class CommandRecord:
     Attributes:
         root: first chunks of the robot's keys, which are under its requests' signatures.
         verbs: those whose proof was accepted, by their time; ``verbs_untold`` more.
-        refused: those whose proof was refused.
         unproven_stops: remote stops without a proof that holds. They are served all the same.
-        findings: the faults.
     """
 
     def __init__(self, robot: str, authority: LogAuthority) -> None:
@@ -723,7 +710,6 @@ class SignedFile(msgspec.Struct, frozen=True):
     """A log file, and what the signature beside it proves.
 
     Attributes:
-        file: its name.
         sha256: of all of it, hexadecimal; empty if it was not read.
         key: the key that its signature names, hexadecimal; empty if there is none.
         grant: identifier of that key's grant, hexadecimal; ``statement`` its text, with those of its signers.

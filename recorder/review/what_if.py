@@ -19,7 +19,7 @@ import msgspec
 
 from gateway.chassis.odometry import GAP_NS, DeadReckoning
 from gateway.choice import CHASSIS
-from gateway.rerun import GivenOutput, what_if
+from gateway.rerun import what_if
 from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress
 from recorder.reading.survey import CONFIGURATION, Configurations, configurations_of, settings_from, survey
@@ -28,7 +28,7 @@ from recorder.review.rerun import NO_CONFIGURATION, RerunPlayer, RerunResult, re
 from schemas import codec
 from schemas.codec import Sample
 from schemas.configuration import TomlSource, merge
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
+from schemas.decisions import Decision, EventKind, SafetyEvent
 from schemas.journal import COMMAND_RULES
 from schemas.messages import RobotState
 from schemas.settings import STANDSTILL_MPS, Settings
@@ -40,7 +40,6 @@ class TriedSettings(msgspec.Struct, frozen=True):
 
     Attributes:
         text: the other configuration as TOML; None for the run's own.
-        path: the file that it is from.
         changes: values by the name of the setting, as ``command.speed_limit_mps``.
     """
 
@@ -71,10 +70,6 @@ STOP_TOLERANCE_NS: Final = 2_000_000_000
 
 MOVED_NS: Final = 10_000_000
 """A stop that is this much sooner or later, a tick of the arbiter, is reported."""
-
-
-WhatIf = Callable[[Settings, Settings, Iterable[Journal]], Iterator[GivenOutput]]
-"""The run's settings, the other ones, and its journals, to what both runs say."""
 
 
 class StopMade(msgspec.Struct, frozen=True):
@@ -131,14 +126,7 @@ class DecisionChange(msgspec.Struct):
 
 
 class Journey(msgspec.Struct):
-    """The way of a robot.
-
-    Attributes:
-        distance_m: driven in either direction, by its speed feedback.
-        moving_s: the time that it moved.
-        top_speed_mps: the highest speed, a magnitude.
-        stops: why it was stopped, in order.
-    """
+    """The way of a robot."""
 
     distance_m: float = 0.0
     moving_s: float = 0.0
@@ -182,15 +170,13 @@ class WhatIfResult(msgspec.Struct, frozen=True):
         return min([*decided, *(stop.time_ns for stop in stops)], default=None)
 
 
-def what_if_parts(
-    player: RerunPlayer, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if
-) -> Iterator[WhatIfResult]:
-    """Every run that a player plays, as it was and as it would have been."""
+def what_if_parts(player: RerunPlayer, settings_of: Callable[[str], Settings]) -> Iterator[WhatIfResult]:
+    """Every run that a player plays, as it was, and with settings made of its configuration's TOML text."""
     while player.next_part():
-        yield _what_if(player, run_both, settings_of)
+        yield _what_if(player, settings_of)
 
 
-def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str], Settings]) -> WhatIfResult:
+def _what_if(player: RerunPlayer, settings_of: Callable[[str], Settings]) -> WhatIfResult:
     text = player.configuration()
     pair = _RunsCompared()
     changed: dict[str, tuple[object, object]] = {}
@@ -200,7 +186,7 @@ def _what_if(player: RerunPlayer, run_both: WhatIf, settings_of: Callable[[str],
         settings, other = settings_from(text), settings_of(text)
         changed = _changed_settings(settings, other)
         try:
-            for said in run_both(settings, other, player.journals()):
+            for said in what_if(settings, other, player.journals()):
                 pair.take(said.sample, is_other=said.is_other)
         except UNREADABLE as error:
             player.break_off(error)
@@ -365,13 +351,7 @@ recorder that comes back asks for it: a run goes on over such a gap."""
 
 
 class RerunTask(msgspec.Struct, frozen=True):
-    """A log of a robot.
-
-    Attributes:
-        logs: its files, in the order of their beginnings.
-        configurations: those of its runs.
-        tried: the settings to run it with.
-    """
+    """A log of a robot."""
 
     robot: str
     logs: list[LogFile]

@@ -48,7 +48,6 @@ class LoggedMoment(msgspec.Struct, frozen=True):
         last_ns: ...and when the last of ``count`` alike ones was.
         kind: those of ``events``, or ``incident``.
         operator: who did it; empty if it was nobody's doing.
-        holder: the lease's holder then.
     """
 
     time_ns: int
@@ -112,7 +111,6 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
         is_incident: it repeats what happened around an incident...
         is_covered: ...and the other logs of the directory hold all of it.
         distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
-        accepted, refused: requests.
         events, stops, ends: their numbers by kind, by cause, and of ends that were asked for by reason.
         lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
         gap_s: time for which nothing is known of a robot's motion.

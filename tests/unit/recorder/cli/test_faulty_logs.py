@@ -56,30 +56,6 @@ def answered(capsys: pytest.CaptureFixture[str], question: str, path: Path) -> t
     return code, shown.out + shown.err + ending
 
 
-@pytest.mark.parametrize(
-    ("question", "said"),
-    [
-        ("info", "NOT WHOLE"),
-        ("events", "the front bumper was hit"),
-        ("why", "the front bumper was hit"),
-        ("report", "written: out.html"),
-        ("layouts", "cruiser-1.layout.foxglove.json"),
-        ("export", "rows in"),
-        ("cut", "messages on"),
-    ],
-)
-def test_a_log_that_is_cut_off_is_answered_as_far_as_it_goes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str, said: str
-) -> None:
-    """Exit code 3, and why."""
-    path = saved(tmp_path / "log.mcap", log_scenarios.recorded(log_scenarios.front_bumper)[:-200])
-    monkeypatch.chdir(tmp_path)
-    assert review(question, path, *WRITE.get(question, ())) == ExitCode.PARTIAL
-    shown = capsys.readouterr()
-    assert said in shown.out
-    assert "cut off" in shown.out + shown.err
-
-
 @pytest.mark.parametrize("question", READERS)
 def test_what_is_no_log_is_a_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, question: str) -> None:
     """No traceback, and nothing is written."""

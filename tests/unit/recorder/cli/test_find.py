@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from recorder.cli import asking, catalogs
-from recorder.cli.find import page_of
 from recorder.reading.rows import Progress
 from recorder.review.catalog.directory import CATALOG_NAME
 from schemas.command_line import ExitCode
@@ -59,12 +58,6 @@ def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
         assert review("find", "stops", logs, "--json") == code
         assert len(capsys.readouterr().out.splitlines()) == answers
         (logs / CATALOG_NAME).unlink()
-
-
-@pytest.mark.parametrize("name", ["a.mcap", "a.mcap.part"])
-def test_a_page_is_called_after_its_log(name: str) -> None:
-    """Whole or not."""
-    assert page_of(f"logs/{name}") == "logs/a.html"
 
 
 def test_a_place_in_a_store_is_searched_as_a_directory_is(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -161,48 +161,39 @@ def test_a_sound_log_has_no_findings() -> None:
     assert [(frame.name, frame.frames) for frame in found.frames] == [("Auto_GearFeedBack", 5)]
 
 
+def held(said: int, found: int, name: str) -> str:
+    return f"the file says that it holds {said} {name}; {found} were found"
+
+
+OF_CHUNK = "the summary's index of a chunk is wrong"
+TIMES = "a chunk's times are not those of its messages"
+BEHIND = "the message indexes behind a chunk are wrong"
+PACKED = "a chunk cannot be read: its compression 'zstx' is not known here"
+WHOLE = "the file's first and last time are not those of its messages"
+
+
 @pytest.mark.parametrize(
     ("kind", "edit", "what"),
     [
-        (records.Chunk, setting(message_start_time=99), "a chunk's times are not those of its messages"),
-        (records.Chunk, setting(message_end_time=141), "a chunk's times are not those of its messages"),
+        (records.Chunk, setting(message_start_time=99), TIMES),
+        (records.Chunk, setting(message_end_time=141), TIMES),
         (records.Chunk, setting(uncompressed_size=1), "a chunk cannot be read: a chunk's sizes differ"),
         (records.Chunk, setting(uncompressed_crc=1), "a chunk cannot be read: its checksum is wrong"),
-        (
-            records.Chunk,
-            setting(compression="zstx"),
-            "a chunk cannot be read: its compression 'zstx' is not known here",
-        ),
-        (records.MessageIndex, setting(records=[(1, 0)]), "the message indexes behind a chunk are wrong"),
-        (records.MessageIndex, setting(channel_id=2), "the message indexes behind a chunk are wrong"),
-        (records.Statistics, setting(message_count=9), "the file says that it holds 9 messages; 10 were found"),
-        (records.Statistics, setting(schema_count=2), "the file says that it holds 2 schemas; 1 were found"),
-        (records.Statistics, setting(channel_count=2), "the file says that it holds 2 channels; 1 were found"),
-        (records.Statistics, setting(chunk_count=3), "the file says that it holds 3 chunks; 2 were found"),
-        (
-            records.Statistics,
-            setting(attachment_count=0),
-            "the file says that it holds 0 attachments; 1 were found",
-        ),
-        (
-            records.Statistics,
-            setting(metadata_count=2),
-            "the file says that it holds 2 metadata records; 1 were found",
-        ),
-        (
-            records.Statistics,
-            setting(channel_message_counts={1: 9, 2: 1}),
-            "the file says that it holds 9 messages; 10 were found",
-        ),
-        (
-            records.Statistics,
-            setting(message_start_time=0),
-            "the file's first and last time are not those of its messages",
-        ),
-        (records.ChunkIndex, setting(message_start_time=0), "the summary's index of a chunk is wrong"),
-        (records.ChunkIndex, setting(uncompressed_size=0), "the summary's index of a chunk is wrong"),
-        (records.ChunkIndex, setting(compression="zstx"), "the summary's index of a chunk is wrong"),
-        (records.ChunkIndex, setting(message_index_offsets={1: 8}), "the summary's index of a chunk is wrong"),
+        (records.Chunk, setting(compression="zstx"), PACKED),
+        (records.MessageIndex, setting(records=[(1, 0)]), BEHIND),
+        (records.MessageIndex, setting(channel_id=2), BEHIND),
+        (records.Statistics, setting(message_count=9), held(9, 10, "messages")),
+        (records.Statistics, setting(schema_count=2), held(2, 1, "schemas")),
+        (records.Statistics, setting(channel_count=2), held(2, 1, "channels")),
+        (records.Statistics, setting(chunk_count=3), held(3, 2, "chunks")),
+        (records.Statistics, setting(attachment_count=0), held(0, 1, "attachments")),
+        (records.Statistics, setting(metadata_count=2), held(2, 1, "metadata records")),
+        (records.Statistics, setting(channel_message_counts={1: 9, 2: 1}), held(9, 10, "messages")),
+        (records.Statistics, setting(message_start_time=0), WHOLE),
+        (records.ChunkIndex, setting(message_start_time=0), OF_CHUNK),
+        (records.ChunkIndex, setting(uncompressed_size=0), OF_CHUNK),
+        (records.ChunkIndex, setting(compression="zstx"), OF_CHUNK),
+        (records.ChunkIndex, setting(message_index_offsets={1: 8}), OF_CHUNK),
         (records.ChunkIndex, setting(chunk_start_offset=8), "the summary's index names a chunk that is not there"),
         (records.AttachmentIndex, setting(offset=8), "the summary's index of the attachment n is wrong"),
         (records.AttachmentIndex, setting(data_size=4), "the summary's index of the attachment n is wrong"),
@@ -233,9 +224,9 @@ def test_a_file_that_says_what_is_not_so_is_found_out(
         (records.Header, "the file has no header"),
         (records.Schema, "its schema is missing"),
         (records.Channel, "messages of channel 1, which the file does not hold"),
-        (records.Chunk, "the file says that it holds 2 chunks; 0 were found"),
-        (records.Attachment, "the file says that it holds 1 attachments; 0 were found"),
-        (records.Metadata, "the file says that it holds 1 metadata records; 0 were found"),
+        (records.Chunk, held(2, 0, "chunks")),
+        (records.Attachment, held(1, 0, "attachments")),
+        (records.Metadata, held(1, 0, "metadata records")),
         (records.ChunkIndex, "the summary's own offsets are wrong"),
     ],
 )

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from mcap import records
 
 from recorder.encoding.protobuf import LOGGED, message_class, schema_name
-from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
+from recorder.mcap.framing import MAGIC
 from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults
 from recorder.reading.rows import Selection
@@ -78,47 +78,6 @@ def test_what_is_no_such_message_is_counted_and_left_out() -> None:
     rows = rows_of(batches_of(numbered_log([channel_of(RawSample)], [messages]), faults))
     assert [row["key"] for row in rows] == ["kkkk"]
     assert faults.told == ["log: 1 messages of t cannot be read"]
-
-
-def wrong_indexes() -> dict[str, tuple[int, bytes]]:
-    """What may be wrong with an index: from where on in its second entry, and what stands there."""
-    return {
-        "time": (0, struct.pack("<Q", 1)),
-        "offset 0": (8, struct.pack("<Q", 0)),
-        "in between": (8, struct.pack("<Q", 40)),
-        "behind the end": (8, struct.pack("<Q", 1 << 33)),
-        "absurd": (8, b"\xff" * 8),
-        "nearly behind the end": (8, struct.pack("<Q", 10 * 62 - 5)),
-    }
-
-
-@pytest.mark.parametrize("wrong", wrong_indexes())
-def test_a_wrong_index_is_a_fault_and_costs_nothing(wrong: str) -> None:
-    """No message is lost, none is read wrongly."""
-    messages = [(1, encoded(gear(number))) for number in range(10)]
-    data = bytearray(numbered_log([channel_of(Gear)], [messages, messages]))
-    entry = struct.pack("<Q", WALL_NS + 1)
-    place = data.index(entry + struct.pack("<Q", len(messages[0][1]) + MESSAGE_HEADER.size))
-    shift, new = wrong_indexes()[wrong]
-    data[place + shift : place + shift + 8] = new
-    faults = Faults()
-    rows = rows_of(batches_of(bytes(data), faults))
-    assert [row["sequence"] for row in rows] == list(range(20))
-    assert len(faults.told) == 1
-    assert "the message indexes behind a chunk are wrong" in faults.told[0]
-
-
-def test_an_index_that_leaves_messages_out_is_wrong() -> None:
-    """A chunk whose index knows nothing of one channel: its messages are read all the same."""
-    messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
-    data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
-    head = struct.pack("<BQHI", 7, 6 + 20 * 16, 2, 20 * 16)
-    place = data.index(head)
-    shorter = data[:place] + struct.pack("<BQ", 0x81, 6 + 20 * 16) + data[place + 9 :]
-    faults = Faults()
-    rows = rows_of(batches_of(shorter, faults))
-    assert len(rows) == 40
-    assert any("indexes behind a chunk are wrong" in fault for fault in faults.told)
 
 
 def test_only_what_is_wanted_is_read() -> None:

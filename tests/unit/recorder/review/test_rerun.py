@@ -27,7 +27,6 @@ from recorder.review.rerun import (
     Comparison,
     Key,
     PartEnd,
-    Rerun,
     RerunPlayer,
     RerunResult,
     Tape,
@@ -269,12 +268,12 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def run_again(path: Path, again: Rerun = rerun) -> tuple[list[RerunResult], Faults]:
+def run_again(path: Path) -> tuple[list[RerunResult], Faults]:
     faults = Faults()
     found: list[RerunResult] = []
     for task in rerun_tasks(find_logs([path], faults), TriedSettings(None, "", {}), faults):
         player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
-        found += rerun_parts(player, again)
+        found += rerun_parts(player)
     return found, faults
 
 
@@ -373,7 +372,9 @@ def said_journal(run: int, inputs: bytes, time_ns: int) -> FakeSample:
 SHUT_DOWN = msgspec.msgpack.encode([[Kind.SHUT_DOWN, 1]])
 
 
-def test_each_run_has_the_configuration_that_its_gateway_told(tmp_path: Path) -> None:
+def test_each_run_has_the_configuration_that_its_gateway_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A recorder attaches a configuration only when it has changed; the next run's is not this one's."""
     log = Log()
     begins = [(1, WALL_NS, 0.5), (2, WALL_NS + 5 * SECOND, 0.5), (3, WALL_NS + 9 * SECOND, 1.0)]
@@ -388,7 +389,8 @@ def test_each_run_has_the_configuration_that_its_gateway_told(tmp_path: Path) ->
         seen.append(settings.command.speed_limit_mps)
         return rerun(settings, journals)
 
-    run_again(tmp_path / "log.mcap", watch)
+    monkeypatch.setattr(module, "rerun", watch)
+    run_again(tmp_path / "log.mcap")
     assert seen == [0.5, 0.5, 1.0]
 
 

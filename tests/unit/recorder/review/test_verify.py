@@ -523,17 +523,6 @@ def test_a_run_of_another_authority_beside_one_of_the_given_is_no_former_one() -
     assert NOT_GRANTED in faults_of(verified([SAMPLES, other.samples], FLEET.trust))
 
 
-def test_an_incident_after_the_rotation_holds() -> None:
-    """The robot repeats each minute what is in force: its grant, the rotation, the list."""
-    rotated = Rotated()
-    place = len(rotated.run.samples)
-    rotated.run.show(rotated.text)
-    rotated.run.show(chain_text(rotated.run.robot.chain))
-    rotated.run.seconds(3)
-    for trust in (rotated.fleet.trust, rotated.next):
-        assert not verified([rotated.run.samples[place:]], trust).findings
-
-
 @pytest.mark.parametrize("is_revoked", [True, False])
 def test_a_file_of_a_recorder_is_judged_at_its_end(*, is_revoked: bool) -> None:
     """The key of one that was revoked by then may be anybody's."""

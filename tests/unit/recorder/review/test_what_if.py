@@ -1,7 +1,7 @@
 """Logs as they would have been with other settings, each a task."""
 
 import pickle
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.rerun import GivenOutput, what_if
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.survey import settings_from
 from recorder.review import what_if as module
@@ -22,19 +21,15 @@ from recorder.review.what_if import (
     StopMade,
     StopsCompared,
     TriedSettings,
-    WhatIf,
     WhatIfResult,
     compared,
     rerun_tasks,
     run_task,
     what_if_parts,
 )
-from schemas.codec import Sample, encode
-from schemas.decisions import Journal, Verdict
-from schemas.messages import Message, Variant
+from schemas.messages import Variant
 from schemas.settings import Settings
-from schemas.subjects import BY_TYPE
-from tests.support.messages import PERIOD_NS, SECOND, WALL_NS, refusal
+from tests.support.messages import SECOND
 from tests.support.rigs.day import Day
 from tests.support.rigs.gateway import Operator
 from tests.support.rigs.recorded import RecordedRig
@@ -70,11 +65,11 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def run_of(log: Path, settings_of: Callable[[str], Settings], run_both: WhatIf = what_if) -> WhatIfResult:
+def run_of(log: Path, settings_of: Callable[[str], Settings]) -> WhatIfResult:
     faults = Faults()
     [task] = rerun_tasks(find_logs([log], faults), TriedSettings(None, "", {}), faults)
     player = RerunPlayer(task.robot, task.logs, task.configurations, faults, lambda _: None)
-    [result] = what_if_parts(player, settings_of, run_both)
+    [result] = what_if_parts(player, settings_of)
     assert not faults
     return result
 
@@ -145,33 +140,6 @@ def test_each_stop_has_one_counterpart_at_most(stops: list[StopMade], others: li
         same = [one for one in found.added if one.reason == stop.reason]
         assert all(abs(one.time_ns - stop.time_ns) > STOP_TOLERANCE_NS for one in same)
     assert all(0 < abs(one.other_ns - one.stop.time_ns) <= STOP_TOLERANCE_NS for one in found.moved)
-
-
-def result_of(log: Path, messages: Callable[[bool], list[Message]]) -> WhatIfResult:
-    def both(_settings: Settings, _other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
-        for _ in journals:
-            pass
-        for is_other in (False, True):
-            for message in messages(is_other):
-                yield GivenOutput(Sample(BY_TYPE[type(message)].name, encode(message)), is_other)
-
-    return run_of(log, settings_from, both)
-
-
-def test_decisions_are_paired_by_their_place_and_counted_by_kind(log: Path) -> None:
-    """However far one run is ahead."""
-
-    def messages(is_other: bool) -> list[Message]:  # noqa: FBT001 - the two runs
-        return [
-            refusal(number, verdict=Verdict.REFUSED if is_other and number % 2 else Verdict.ACCEPTED)
-            for number in range(10)
-        ]
-
-    result = result_of(log, messages)
-    [change] = result.changes
-    assert (result.decisions, change.count) == (10, 5)
-    assert (change.first_ns, change.last_ns) == (WALL_NS + PERIOD_NS, WALL_NS + 9 * PERIOD_NS)
-    assert (change.recorded.verdict, change.other.verdict) == ("accepted", "refused")
 
 
 # The tasks.
