@@ -306,6 +306,17 @@ FOUND = {
             (OTHER, "other_commander", "latched| not carried out: the robot stands"),
         ]
     },
+    **{
+        f"a stop at speed with {hindered}": f"driving 1; {hindered}; stop; = ruled {reason}, latched remote_stop; "
+        f"detail {detail} the robot moves at {mps} m/s"
+        for hindered, reason, detail, mps in [
+            ("tick 0", "none", "", "1.00"),
+            ("see controller:bus_off", "bus_off", "latched| told, but not known to be obeyed:", "1.00"),
+            ("fails 1", "send_failed", "latched| told, but not known to be obeyed:", "1.00"),
+            (f"see {OTHER}", "other_commander", "latched| told, but not known to be obeyed:", "1.00"),
+            ("see mode:remote all:0.8; tick", "hand_transmitter", "latched| not carried out:", "0.80"),
+        ]
+    },
 }
 
 
