@@ -58,24 +58,16 @@ def counter(frame: Dumped) -> int:
     return _bits(frame, 52, 4)
 
 
-def bursts(frames: list[Dumped], torn: int = 0) -> list[Told]:
-    """Command frames as bursts. So many may be torn, by the end of who sends them: these are left out.
-
-    Raises:
-        AssertionError: a burst does not have its five in their order, or anything else between them.
-    """
+def bursts(frames: list[Dumped]) -> list[Told]:
+    """Command frames as bursts, each of its five in their order, with nothing of these after them."""
     begun = [place for place, frame in enumerate(frames) if frame.can_id == BURST[0]]
     assert not frames or begun[:1] == [0], "it begins within a burst"
     told = []
     for place, end in pairwise([*begun, len(frames)]):
         found = tuple(frame.can_id for frame in frames[place:end])
-        if found[: len(BURST)] == BURST:
-            assert not set(found[len(BURST) :]) & set(BURST), _words(found)
-            told.append(_told(*frames[place : place + len(BURST)]))
-        else:
-            assert found == BURST[: len(found)], _words(found)
-            torn -= 1
-    assert torn >= 0, "bursts are torn"
+        assert found[: len(BURST)] == BURST, _words(found)
+        assert not set(found[len(BURST) :]) & set(BURST), _words(found)
+        told.append(_told(*frames[place : place + len(BURST)]))
     return told
 
 

@@ -5,14 +5,13 @@ That they are right PromQL, and fire when they should, is seen by ``make metrics
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
 
 from schemas.reasons import Reason
-from tests.support.metrics import DASHBOARD, RULES, full_exposition, names_in, queries
+from tests.support.metrics import RULES, full_exposition, names_in, queries
 
 ROOT = Path(__file__).parents[3]
 
@@ -66,13 +65,3 @@ def test_every_reason_that_a_rule_names_exists() -> None:
     named = {reason for text in re.findall(r'reason=~"([^"]+)"', expressions()) for reason in text.split("|")}
     assert named
     assert named <= {reason.value for reason in Reason}
-
-
-def test_the_dashboard_takes_any_prometheus() -> None:
-    """Its source of data is a variable, and each panel has another place."""
-    said = json.loads(DASHBOARD.read_text("utf-8"))
-    assert {entry["name"]: entry["type"] for entry in said["templating"]["list"]}["datasource"] == "datasource"
-    assert set(re.findall(r'"uid": "(\$[^"]*)"', DASHBOARD.read_text("utf-8"))) == {"${datasource}"}
-    places = [(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in said["panels"]]
-    assert len(places) == len(set(places)) > 20
-    assert len({panel["id"] for panel in said["panels"]}) == len(places)

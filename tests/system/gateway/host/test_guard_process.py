@@ -139,15 +139,6 @@ def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard()
             assert running.complaints == []
 
 
-def test_a_guard_that_is_gone_or_hangs_does_not_watch() -> None:
-    """The gateway sees it, and no stop of its is waited for."""
-    for number in (signal.SIGKILL, signal.SIGSTOP):
-        with watched() as running:
-            os.kill(running.guard, number)
-            running.wait_says("watching False")
-            os.kill(running.guard, signal.SIGKILL)
-
-
 def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
     """No socket is shared, and Zenoh is not even loaded."""
     with watched() as running:

@@ -2,12 +2,10 @@
 
 from collections.abc import Callable
 from itertools import pairwise
-from math import cos, degrees, hypot, pi, radians, sin, tan
+from math import degrees, hypot, pi, radians, tan
 
 import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.chassis.odometry import SLIP_M, DeadReckoning
 from schemas.cruiser import WHEELBASE_M
@@ -39,13 +37,6 @@ def after(
     return made
 
 
-def place_on_circle(way_m: float, angle_deg: float) -> tuple[float, float, float]:
-    """Return the end of an arc from zero."""
-    turn_rad = way_m * tan(radians(angle_deg)) / WHEELBASE_M
-    radius_m = way_m / turn_rad
-    return radius_m * sin(turn_rad), radius_m * (1 - cos(turn_rad)), turn_rad
-
-
 def turned(heading_rad: float, wanted_rad: float) -> float:
     """The difference of two headings."""
     return abs((heading_rad - wanted_rad + pi) % (2 * pi) - pi)
@@ -75,21 +66,6 @@ def test_the_pose_is_that_of_the_bicycle_model(
     assert hypot(pose.x_m - x_m, pose.y_m - y_m) < 0.02
     assert turned(pose.heading_rad, radians(heading_deg)) < radians(0.6)
     assert pose.distance_m == pytest.approx(sum(abs(speed) * seconds for speed, _, seconds in parts), abs=0.02)
-
-
-@given(
-    st.floats(0.05, 2.2),
-    st.floats(0.5, 24.0),
-    st.sampled_from((-1, 1)),
-    st.sampled_from((-1, 1)),
-    st.floats(1, 20),
-)
-def test_any_circle(speed_mps: float, angle_deg: float, way: int, side: int, seconds: float) -> None:
-    """The pose stays on it, at any speed, angle and sense."""
-    pose = after((way * speed_mps, side * angle_deg, seconds))
-    x_m, y_m, heading_rad = place_on_circle(way * pose.distance_m, side * angle_deg)
-    assert hypot(pose.x_m - x_m, pose.y_m - y_m) < 1e-3
-    assert turned(pose.heading_rad, heading_rad) < 1e-6
 
 
 def sd(pose: DeadReckoning) -> tuple[float, float]:

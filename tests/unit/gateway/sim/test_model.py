@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.cruiser.frames import load
@@ -19,7 +19,6 @@ from gateway.sim.body import (
     BRAKING_DECELERATION_MPS2,
     DECELERATION_MPS2,
     PARKING_DECELERATION_MPS2,
-    ROLLING_DECELERATION_MPS2,
     STEERING_RATE_DEGPS,
     TOP_SPEED_MPS,
     Conditions,
@@ -347,22 +346,6 @@ def test_the_firmware_can_change() -> None:
     assert rig.chassis.state.variant is Variant.COARSE
 
 
-@VARIANTS
-def test_it_may_roll_faster_than_its_frames_can_say(variant: Variant) -> None:
-    """They show the most they have room for."""
-    rig = ChassisRig(variant, conditions=Conditions(slope_deg=30.0))
-    rig.command("neutral")
-    rig.run(30)
-    layout = load(variant)
-    assert rig.speed_mps < -100
-    wheels = layout.messages["Auto_WheelSpdFeedback"].signal("RearLeftSpeed")
-    rig.fault("scale wrong")
-    frames = rig.run(2)
-    assert len(frames) == 1260
-    shown = [int.from_bytes(frame.data[1:3], "little") for frame in rig.named("Auto_WheelSpdFeedback", frames)]
-    assert {raw & (2**wheels.length - 1) for raw in shown} == {0}
-
-
 def test_a_reboot_forgets_everything() -> None:
     """Two seconds without feedback and drive; then mode stop, and counters from 0."""
     rig = ChassisRig()
@@ -430,19 +413,6 @@ def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: f
                 assert speed_mps * direction > -0.011, "the gear of the other direction engaged at speed"
 
 
-def test_a_reversal_goes_through_standstill() -> None:
-    """Asked for reverse at speed, it stays in drive until it stands."""
-    motion = moving(demand(speed_mps=1.5), 3)
-    gears = []
-    for _ in range(300):
-        motion.step(demand(GearPosition.REVERSE, 1.0), DT_S)
-        gears.append((motion.gear, motion.speed_mps > 0.02))
-    assert (GearPosition.REVERSE, True) not in gears
-    assert gears[0] == (GearPosition.DRIVE, True)
-    assert motion.gear is GearPosition.REVERSE
-    assert motion.speed_mps == pytest.approx(-1.0)
-
-
 def test_it_drives_a_circle() -> None:
     """At a steering angle it comes back to where it was: radius wheelbase by tangent, left is positive."""
     motion = moving(demand(angle_deg=20.0), 1)
@@ -473,18 +443,7 @@ def test_pulses_wrap_as_signed_16_bit() -> None:
 
 
 GRAVITY_MPS2 = 9.81
-ROLLS = demand(GearPosition.NEUTRAL)
 PARKS = Demand(GearPosition.NEUTRAL, 0.0, 0.0, 0.0, parked=True)
-
-
-@given(slope_deg=st.floats(-30, 30), payload_kg=st.floats(0, 100))
-def test_in_neutral_it_rolls_downhill(slope_deg: float, payload_kg: float) -> None:
-    """Gravity less rolling resistance, whatever the load; where resistance holds the robot, it stands."""
-    motion = moving(ROLLS, 2, Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg)))
-    pull_mps2 = GRAVITY_MPS2 * math.sin(math.radians(slope_deg))
-    rolls_mps2 = max(0.0, abs(pull_mps2) - ROLLING_DECELERATION_MPS2)
-    assert motion.speed_mps == pytest.approx(math.copysign(2 * rolls_mps2, -slope_deg), abs=1e-6)
-    assert motion.x_m == pytest.approx(math.copysign(rolls_mps2 * 2**2 / 2, -slope_deg), rel=0.01, abs=1e-6)
 
 
 @pytest.mark.parametrize(("slope_deg", "payload_kg"), [(20, 0), (15, 100)])
@@ -494,25 +453,6 @@ def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> 
     assert moving(demand(speed_mps=0.5), 20, climbing).speed_mps == 0.5
     too_heavy = Motion(L_M, Conditions(slope_deg=20.0, payload_kg=100.0))
     assert moving(demand(speed_mps=0.5), 20, too_heavy).speed_mps < 0
-
-
-@given(
-    slope_deg=st.floats(-25, 20),
-    payload_kg=st.floats(0, 60),
-    gear=st.sampled_from([GearPosition.DRIVE, GearPosition.REVERSE]),
-    speeds_mps=st.lists(st.floats(0, 3), max_size=5),
-)
-def test_a_slope_that_the_motor_masters_does_not_show(
-    slope_deg: float, payload_kg: float, gear: GearPosition, speeds_mps: list[float]
-) -> None:
-    """Within its force the motor follows its target as on the flat."""
-    flat, hilly = Motion(L_M), Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg))
-    most_mps2 = GRAVITY_MPS2 * math.sin(math.radians(abs(slope_deg))) + 2.0 + ROLLING_DECELERATION_MPS2
-    assume(most_mps2 < hilly.conditions.drive_mps2)
-    for speed_mps in speeds_mps:
-        for motion in (flat, hilly):
-            moving(demand(gear, speed_mps), 0.5, motion)
-    assert (hilly.speed_mps, hilly.x_m) == (flat.speed_mps, flat.x_m)
 
 
 @pytest.mark.parametrize("slope_deg", [-20, 0, 20])

@@ -298,18 +298,6 @@ def test_pulses_that_are_not_valid_or_not_there_tell_no_direction() -> None:
     assert eye.look(50 * FRAMES + 1_110).pulses == 0
 
 
-def test_a_frame_whose_counter_fails_is_faulty() -> None:
-    """Five wrong steps."""
-    eye = Eye()
-    eye.show_all()
-    for number in range(5):
-        assert eye.look().faulty == ()
-        for _ in range(7):
-            eye.feedback.frame(BODY)
-        eye.show(BODY, at_ms=number)
-    assert eye.look(5).faulty == (BODY,)
-
-
 def test_a_frame_that_says_what_cannot_be_is_absurd() -> None:
     """Three angles that the chassis cannot have."""
     eye = Eye()
