@@ -171,15 +171,12 @@ class Bus(Protocol):
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time. Raises BusLost."""
-        ...
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus, without waiting. Raises BusLost, BusFull."""
-        ...
 
     def close(self) -> None:
         """Give the bus back. Never raises."""
-        ...
 
 
 class BusDriver(Protocol):
@@ -188,19 +185,15 @@ class BusDriver(Protocol):
     @property
     def stream(self) -> socket.socket | None:
         """Its TCP connection, if it has one."""
-        ...
 
     def recv(self, timeout_s: float) -> Frame | None:
         """The next frame, with the time that the interface gives it; or None. An OSError is a loss."""
-        ...
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus. Raises BusFull."""
-        ...
 
     def shutdown(self) -> None:
         """Give the bus back."""
-        ...
 
 
 class CanBus:

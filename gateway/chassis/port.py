@@ -154,17 +154,14 @@ class Tracker(Protocol):
 
     def follow(self, message: Feedback | None, odometry: DeadReckoning) -> None:
         """A feedback message came: the odometry goes on with what it, and those beside it, say."""
-        ...
 
     def note_hits(self) -> None:
         """A frame came in which a bumper may read hit: that counts at the next tick, whatever comes after it."""
-        ...
 
     def state(
         self, controller: ControllerState, variant: Variant, commander_ns: int | None, now_ns: int
     ) -> ChassisState:
         """The chassis now, but for what the loop knows of the bus and the guard."""
-        ...
 
 
 class BurstMaker(Protocol):
@@ -180,15 +177,12 @@ class BurstMaker(Protocol):
 
     def make(self, actuation: Actuation, auxiliary: list[AuxiliaryFrame], variant: Variant) -> list[Frame]:
         """Return the frames of this tick: the motion frames, then others that were requested."""
-        ...
 
     def restore(self, sent: Mapping[int, int]) -> None:
         """These counters, by identifier, were sent last."""
-        ...
 
     def sent(self, frames: list[Frame]) -> None:
         """These were sent, the first of a burst: their counters advance."""
-        ...
 
 
 class BusGate(Protocol):
@@ -204,15 +198,12 @@ class BusGate(Protocol):
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
     ) -> GateFault | None:
         """Return the fault for which these frames must not be sent together, or None if they may."""
-        ...
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
         """These were sent, the first of a burst that was admitted."""
-        ...
 
     def pause(self) -> None:
         """Nothing is sent, on purpose."""
-        ...
 
 
 class BusView(Protocol):
@@ -228,55 +219,42 @@ class BusView(Protocol):
 
     def receive(self, frame: Frame, now_ns: int) -> None:
         """A frame came from the bus."""
-        ...
 
     def has_feedback(self, now_ns: int) -> bool:
         """Feedback comes."""
-        ...
 
     def is_complete(self, now_ns: int) -> bool:
         """All that a stop has to begin from is there: mode, gear, angle and speed."""
-        ...
 
     def mode(self, now_ns: int) -> Mode:
         """Return the mode; UNDEFINED if none is reported, or remote in a single frame only."""
-        ...
 
     def gear(self, now_ns: int) -> GearPosition:
         """The gear feedback."""
-        ...
 
     def angle_deg(self, now_ns: int) -> float:
         """The steering feedback; straight ahead if there is none."""
-        ...
 
     def is_braked(self, now_ns: int) -> bool | None:
         """True if the parking brake reads applied; None if it is not reported."""
-        ...
 
     def stands(self, variant: Variant, now_ns: int) -> bool:
         """The robot was slow whenever this was asked in the last 50 ms. False also when that cannot be seen."""
-        ...
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
         """The robot is seen to move."""
-        ...
 
     def slowest_mps(self, variant: Variant, now_ns: int) -> float | None:
         """The lowest speed that a sensor shows; None if there is no drive feedback, or no known scale."""
-        ...
 
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
         """The highest speed that a sensor shows; None if none shows any."""
-        ...
 
     def wheel_speed_mps(self, variant: Variant, now_ns: int) -> float | None:
         """The mean speed of the wheels, forward positive; None if they do not report it."""
-        ...
 
     def evidence_data(self, now_ns: int) -> bytes | None:
         """The newest frame that is evidence of the variant; None if it is silent."""
-        ...
 
 
 class Chassis(msgspec.Struct, frozen=True):

@@ -262,11 +262,9 @@ class VariantEvidence(Protocol):
 
     def of(self, data: bytes) -> Variant:
         """The variant for which these data speak; UNKNOWN if they speak for none."""
-        ...
 
     def turns(self, data: bytes) -> bool | None:
         """Return True if these data are of no standing robot in any variant; None if they are not valid."""
-        ...
 
 
 class VariantDetector:

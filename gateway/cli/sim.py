@@ -58,7 +58,6 @@ class SimBus(Protocol):
 
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
         """The frames that others sent."""
-        ...
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
         """Puts frames on the bus."""

@@ -137,11 +137,9 @@ class GuardBus(Protocol):
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next frame, or None if there was none in time."""
-        ...
 
     def send(self, frames: list[Frame]) -> int:
         """Hand frames to the bus, without waiting. Returns how many it took."""
-        ...
 
 
 class Memory(Protocol):
@@ -149,11 +147,9 @@ class Memory(Protocol):
 
     def read_beat(self) -> Beat | None:
         """The loop's newest beat."""
-        ...
 
     def write_status(self, status: GuardStatus) -> None:
         """Tell the loop."""
-        ...
 
 
 def run(

@@ -35,11 +35,9 @@ class Prover(Protocol):
 
     def attach(self, verb: str, payload: bytes) -> bytes:
         """The attachment of a command; empty if there is none."""
-        ...
 
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Return True if it is the asked robot's reply to the request that had this attachment."""
-        ...
 
 
 Owner = TypeVar("Owner", bound=SessionOwner)

@@ -1,5 +1,6 @@
-"""The gateway's commands as candump sees them: of one that drives, beside another, and off the bus."""
+"""The gateway's commands as candump sees them, beside another, and off the bus; and ``cruiser doctor``."""
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
@@ -19,6 +20,7 @@ from tests.socketcan.interface import Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable, wait_standing_by
 from tests.socketcan.turns import come_last
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.gateway import Running, run
 from tests.support.waiting import wait_until
 
 FINE_RAW_PER_MPS = 1000
@@ -180,3 +182,37 @@ def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness
         wait_engageable(second)
     commands.check_counters(commands.of(witness.frames))
     commands.bursts(commands.of(witness.frames))
+
+
+def findings(channel: str, *words: str) -> dict[str, str]:
+    said = json.loads(run(["doctor", "--json", "--channel", channel, *words]).stdout)
+    return {one["check"]: one["cure"] for one in said["findings"]}
+
+
+def test_an_interface_is_missing_down_silent_and_well_in_turn(
+    vcan: Vcan, candump: Candump, tmp_path: Path
+) -> None:
+    """Without a gateway; and nothing is sent meanwhile by anybody but the chassis."""
+    logs = ["--logs", str(tmp_path)]
+    assert "interface_missing" in findings("nowhere0", *logs)
+    vcan.down()
+    assert findings(vcan.name, *logs)["interface_down"] == f"ip link set {vcan.name} up"
+    vcan.up()
+    found = findings(vcan.name, *logs)
+    assert "bus_silent" in found
+    assert "queue_long" not in found
+    assert candump.frames == []
+    with chassis(vcan.name, "--variant", "fine"):
+        found = findings(vcan.name, *logs)
+    assert not {"bus_silent", "feedback_missing", "variant_unknown", "other_commander"} & set(found)
+    assert "gateway_missing" in found
+
+
+def test_error_frames_alone_are_another_bit_rate(vcan: Vcan, tmp_path: Path) -> None:
+    """As a controller makes them that hears nothing it understands."""
+    with Running("doctor", "--json", "--channel", vcan.name, "--logs", str(tmp_path)) as doctor:
+        while doctor.process.poll() is None:
+            send(vcan.name, *RECEIVE_PASSIVE)
+        assert doctor.process.stdout is not None
+        said = json.loads(doctor.process.stdout.read())
+    assert "bit_rate" in {one["check"] for one in said["findings"]}

@@ -1,8 +1,9 @@
-"""One feedback frame's stream, and raw frames in batches."""
+"""One feedback frame's stream, raw frames in batches, and the newest samples by their sequence."""
 
 from collections import Counter
 from collections.abc import Iterable
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,8 +12,10 @@ from gateway.chassis.frame import EXTENDED, REMOTE, FaultKind, Frame
 from gateway.chassis.supervision import silence_ns
 from gateway.choice import CHASSIS
 from gateway.telemetry.feedback import FeedbackStream, FrameBatch
+from gateway.telemetry.samples import KeptSamples
 from schemas.messages import Variant
 from schemas.settings import PERIOD_WINDOW_FRAMES
+from schemas.subjects import KEPT_PIECE
 from tests.support.frames import MS, Feedback
 
 GEAR = "Auto_GearFeedBack"
@@ -91,3 +94,34 @@ def test_a_row_keeps_everything_of_its_frame() -> None:
     )
     assert batch.data == [b"", b"\x01\x02"]
     assert held.take(100) is None
+
+
+def kept(count: int, max_bytes: int = 1_000_000) -> KeptSamples:
+    """So many samples of ten bytes; each tells its sequence."""
+    samples = KeptSamples(max_bytes)
+    for number in range(count):
+        samples.add(b"%010d" % number)
+    return samples
+
+
+@pytest.mark.parametrize("first", [0, 5, 99, 100, 4711])
+def test_a_piece_begins_with_the_sequence_that_was_asked_for(first: int) -> None:
+    """And is a bounded number; empty where nothing is that new."""
+    found = [int(payload) for payload in kept(100).piece(first)]
+    assert found == list(range(first, min(100, first + KEPT_PIECE)))
+
+
+def test_the_oldest_go_by_their_bytes() -> None:
+    """A piece of what has gone begins with the oldest that is there."""
+    samples = kept(100, max_bytes=305)
+    assert [int(payload) for payload in samples.piece(0)] == list(range(70, 70 + KEPT_PIECE))
+    assert [int(payload) for payload in samples.piece(98)] == [98, 99]
+
+
+def test_what_is_larger_than_all_there_is_room_for_is_not_kept() -> None:
+    """Those after it keep their places."""
+    samples = kept(3, max_bytes=20)
+    samples.add(bytes(21))
+    assert samples.piece(0) == []
+    samples.add(b"four")
+    assert samples.piece(0) == samples.piece(4) == [b"four"]
