@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from heapq import heappop, heappush
 from operator import itemgetter
 from typing import Any, Final
@@ -22,7 +23,6 @@ from recorder.review.entries import (
     DROPPED,
     IDS_KEPT,
     NEAR_NS,
-    OF_EVENT,
     Entry,
     EntryKind,
     EntrySource,
@@ -233,9 +233,8 @@ class RobotTrack:
         for (topic, _), sequences in self._sequences.items():
             for hole in sequences.holes():
                 text = f"{hole.count} samples of {topic} are not in the log"
-                entry = _plain(self.name, EntryKind.GAP, Severity.WARNING, hole.after_ns, text, EntrySource.LOG)
                 last_ns = max(hole.after_ns, hole.before_ns)
-                yield msgspec.structs.replace(entry, count=hole.count, last_ns=last_ns)
+                yield _of_log(self.name, EntryKind.GAP, hole.after_ns, text, count=hole.count, last_ns=last_ns)
 
     def run_of(self, tick: int) -> int:
         """The number of the run of a tick, counted from the first that was heard."""
@@ -373,29 +372,31 @@ class Timeline:
         else:
             return None
         severity = Severity.ERROR if is_silent and robot.is_active else Severity.WARNING
-        entry = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text + robot.left, EntrySource.LOG)
-        entry = msgspec.structs.replace(entry, last_ns=robot.state_ns + (silent_ns if is_silent else 0))
+        last_ns = robot.state_ns + (silent_ns if is_silent else 0)
+        text += robot.left
+        entry = _of_log(robot.name, EntryKind.GAP, robot.state_ns, text, severity=severity, last_ns=last_ns)
         return LogEnding(entry, is_silent, robot.is_active)
 
     # One for each class of messages.
 
     def _take_event(self, robot: RobotTrack, row: Row, event: SafetyEvent) -> None:
-        kind = OF_EVENT.get(event.kind, EntryKind.FAULT)
         if event.kind is EventKind.GATEWAY:
             robot.ended_tick = event.tick
         time_ns = robot.place(row, event.tick)
         robot.count(row, event.tick, time_ns)
-        entry = _plain(robot.name, kind_of(kind, event.reason), event.severity, time_ns, event.text)
-        self._hold(
-            msgspec.structs.replace(
-                entry,
-                source=EntrySource.EVENT,
-                reason=event.reason,
-                operator=event.operator,
-                holder=robot.holder_at(event.tick),
-                tick=event.tick,
-            )
+        entry = _entry(
+            robot.name,
+            kind_of(EntryKind(event.kind.value), event.reason),
+            time_ns,
+            event.text,
+            severity=event.severity,
+            source=EntrySource.EVENT,
+            reason=event.reason,
+            operator=event.operator,
+            holder=robot.holder_at(event.tick),
+            tick=event.tick,
         )
+        self._hold(entry)
 
     def _take_decision(self, robot: RobotTrack, row: Row, decision: Decision) -> None:
         time_ns = robot.place(row, decision.tick)
@@ -408,14 +409,13 @@ class Timeline:
         else:
             text = f"{decision.request}, as asked"
         expected = not is_refused or decision.reason in _EXPECTED
-        entry = Entry(
-            time_ns=time_ns,
-            last_ns=time_ns,
-            robot=robot.name,
-            kind=EntryKind.REFUSAL if is_refused else EntryKind.REQUEST,
+        entry = _entry(
+            robot.name,
+            EntryKind.REFUSAL if is_refused else EntryKind.REQUEST,
+            time_ns,
+            text,
             severity=Severity.INFO if expected else Severity.WARNING,
             source=EntrySource.DECISION,
-            text=text,
             reason=decision.reason,
             operator=decision.operator,
             holder=robot.holder_at(decision.tick),
@@ -447,11 +447,11 @@ class Timeline:
             if state.guarded is not was.guarded:
                 severity = Severity.INFO if state.guarded else Severity.WARNING
                 text = "a guard watches the gateway" if state.guarded else "the guard is gone"
-                guard = _plain(robot.name, EntryKind.GUARD, severity, time_ns, text)
-                self._hold(msgspec.structs.replace(guard, holder=state.lease_holder, tick=state.tick))
+                more: dict[str, Any] = {"holder": state.lease_holder, "tick": state.tick}
+                self._hold(_entry(robot.name, EntryKind.GUARD, time_ns, text, severity=severity, **more))
         if said:
-            entry = _plain(robot.name, EntryKind.CLOCK, Severity.WARNING, time_ns, said, EntrySource.LOG)
-            self._hold(msgspec.structs.replace(entry, last_ns=max(time_ns, would_be_ns)))
+            last_ns = max(time_ns, would_be_ns)
+            self._hold(_of_log(robot.name, EntryKind.CLOCK, time_ns, said, last_ns=last_ns))
         robot.hear_state(state, row.sequence, time_ns, row.log_ns)
 
     def _share(self, robot: RobotTrack, time_ns: int) -> None:
@@ -460,7 +460,7 @@ class Timeline:
         for held in robot.begun:
             held.is_void = True
         text = "two gateways speak under this name: these entries are of both"
-        self._hold(_plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text))
+        self._hold(_entry(robot.name, EntryKind.GATEWAY, time_ns, text))
 
     def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
         """The first state of a gateway that was started."""
@@ -471,11 +471,11 @@ class Timeline:
         silent_ns = time_ns - robot.state_ns
         if silent_ns > SILENT_NS and not robot.is_ended:
             text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
-            silence = _plain(robot.name, EntryKind.GAP, severity, robot.state_ns, text, EntrySource.LOG)
-            robot.begun.append(self._hold(msgspec.structs.replace(silence, last_ns=time_ns)))
+            entry = _of_log(robot.name, EntryKind.GAP, robot.state_ns, text, severity=severity, last_ns=time_ns)
+            robot.begun.append(self._hold(entry))
         text = "another run of the gateway began: leases, engagement and latches of before are void"
         text += f"; the one before was {left}" if active else ""
-        robot.begun.append(self._hold(_plain(robot.name, EntryKind.GATEWAY, severity, time_ns, text)))
+        robot.begun.append(self._hold(_entry(robot.name, EntryKind.GATEWAY, time_ns, text, severity=severity)))
 
     def _take_step(self, robot: RobotTrack, state: SafetyState, was: SafetyState, time_ns: int) -> int:
         """A clock that was set back, by the ticks; returns by how much, else 0. The entry lasts as long."""
@@ -504,8 +504,8 @@ class Timeline:
         made = f"the gateway made {ticks} tick{'' if ticks == 1 else 's'} meanwhile"
         why = f"{missed} samples are missing" if missed else made
         text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: {why}"
-        entry = _plain(robot.name, EntryKind.GAP, Severity.WARNING, was_ns, text, EntrySource.LOG)
-        held = self._hold(msgspec.structs.replace(entry, last_ns=time_ns, count=max(1, missed)))
+        entry = _of_log(robot.name, EntryKind.GAP, was_ns, text, last_ns=time_ns, count=max(1, missed))
+        held = self._hold(entry)
         robot.doubtful = held if stood_ns else None
 
     def _revive(self, robot: RobotTrack, death: _Held, heard_ns: int) -> None:
@@ -527,10 +527,6 @@ class Timeline:
         was, was_ns = robot.health, min(robot.health_ns, time_ns)
         if was is not None and health.uptime_s < was.uptime_s:
             was = None
-            if robot.state is None:
-                text = f"the gateway was started {health.uptime_s:.1f} s before"
-                entry = _plain(robot.name, EntryKind.GATEWAY, Severity.WARNING, time_ns, text, EntrySource.HEALTH)
-                self._hold(entry)
         if robot.doubtful is not None and was is not None:
             self._judge(robot, robot.doubtful, round((health.uptime_s - was.uptime_s) * 1e9), time_ns - was_ns)
         robot.health, robot.health_ns = health, time_ns
@@ -543,8 +539,8 @@ class Timeline:
                 text = f"requests were dropped unread: the loop did not read for {seconds:.1f} s"
             began_ns = time_ns if is_dated else was_ns
             text += "" if is_dated else " (after this time, as the next gateway/health says)"
-            entry = _plain(robot.name, one.kind, one.severity, began_ns, text, EntrySource.HEALTH)
-            entry = msgspec.structs.replace(entry, last_ns=time_ns, count=one.count)
+            more = {"severity": one.severity, "source": EntrySource.HEALTH, "last_ns": time_ns, "count": one.count}
+            entry = _entry(robot.name, one.kind, began_ns, text, **more)
             if one.severity is Severity.INFO and one.count == 1 and not one.about:
                 self._hold(entry)
             else:
@@ -563,8 +559,8 @@ class Timeline:
 
     def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
         kind = EntryKind.GATEWAY if event.kind is RecorderEventKind.GATEWAY else EntryKind.RECORDER
-        entry = _plain(event.robot, kind, event.severity, row.publish_ns, event.text, EntrySource.RECORDER)
-        held = self._hold(msgspec.structs.replace(entry, operator=event.operator))
+        more = {"severity": event.severity, "source": EntrySource.RECORDER, "operator": event.operator}
+        held = self._hold(_entry(event.robot, kind, row.publish_ns, event.text, **more))
         robot = self._robots.get(event.robot)
         if robot is not None and kind is EntryKind.GATEWAY:
             robot.died = held
@@ -579,8 +575,8 @@ class Timeline:
         if parts is not None:
             of_root = f"{parts.root}/{parts.robot}"
             robot = of_root if of_root in self._robots else parts.robot
-        entry = _plain(robot, EntryKind.GAP, Severity.WARNING, gap.first_ns, text, EntrySource.RECORDER)
-        self._hold(msgspec.structs.replace(entry, last_ns=max(gap.first_ns, gap.last_ns), count=gap.count))
+        more = {"source": EntrySource.RECORDER, "last_ns": max(gap.first_ns, gap.last_ns), "count": gap.count}
+        self._hold(_entry(robot, EntryKind.GAP, gap.first_ns, text, **more))
 
 
 _GAPS: Final = {
@@ -601,18 +597,13 @@ _TAKES: Final[dict[type[msgspec.Struct] | None, Callable[[Timeline, RobotTrack, 
 """The handler of each class; other classes are not read."""
 
 
-def _plain(
-    robot: str,
-    kind: EntryKind,
-    severity: Severity,
-    time_ns: int,
-    text: str,
-    source: EntrySource = EntrySource.STATE,
-) -> Entry:
-    """An entry without an operator and without a reason of the arbiter's."""
-    return Entry(
-        time_ns=time_ns, last_ns=time_ns, robot=robot, kind=kind, severity=severity, source=source, text=text
-    )
+def _entry(robot: str, kind: EntryKind, time_ns: int, text: str, **more: Any) -> Entry:  # noqa: ANN401 - any field
+    """An entry; a warning by the arbiter's states that lasted no time, if nothing else is given."""
+    plain: dict[str, Any] = {"severity": Severity.WARNING, "source": EntrySource.STATE, "last_ns": time_ns}
+    return Entry(robot=robot, kind=kind, time_ns=time_ns, text=text, **(plain | more))
+
+
+_of_log: Final = partial(_entry, source=EntrySource.LOG)
 
 
 def _says_of_itself(robot: str) -> Wants:

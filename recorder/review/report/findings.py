@@ -412,26 +412,26 @@ _LOSSES: Final = {
 
 
 def verdict(robot: RobotReport) -> str:
-    """The robot in a sentence: distance, drives, stops by cause, normal ends."""
+    """The robot in a sentence: distance, drives, stops by cause, normal ends, losses."""
     summary = robot.summary
     drives = len(robot.drives) + robot.more_drives
     said = [f"{counted(drives, 'drive') if drives else 'no drive'}, {distance(summary)}", stops_by(summary.stops)]
     ends = sum(summary.ends.values())
     if ends:
         said.append(counted(ends, "normal end"))
+    losses = ((summary.lost_samples, "sample"), (summary.lost_frames, "frame"))
+    said += [f"{counted(count, noun)} lost" for count, noun in losses if count]
     if summary.ends_commanding:
         said.append("recording ends while the robot is commanded")
     return "; ".join(said) + "."
 
 
-def distance(robot: RobotSummary, *, is_short: bool = False) -> str:
+def distance(robot: RobotSummary) -> str:
     """The distance; where states are missing it is at least that."""
     if not robot.known_s:
-        return ABSENT if is_short else f"distance {ABSENT}"
+        return f"distance {ABSENT}"
     said = "0 m" if robot.distance_m < STANDING_M else metres(robot.distance_m)
-    if not robot.gaps:
-        return said
-    return f"at least {said}" if is_short else f"at least {said} ({duration(robot.gap_s)} not recorded)"
+    return f"at least {said} ({duration(robot.gap_s)} not recorded)" if robot.gaps else said
 
 
 def drive_distance(robot: RobotSummary, drive: RecordedDrive) -> str:

@@ -27,7 +27,7 @@ import msgspec
 
 import schemas
 from recorder.reading.times import in_words
-from recorder.review.drives import MARGIN_NS, RecordedDrive, operators_stops
+from recorder.review.drives import MARGIN_NS, RecordedDrive
 from recorder.review.entries import Entry
 from recorder.review.report.findings import (
     ABSENT,
@@ -42,7 +42,6 @@ from recorder.review.report.findings import (
     RobotSummary,
     Why,
     counted,
-    distance,
     drive_distance,
     duration,
     is_lossy,
@@ -235,7 +234,6 @@ class _Page:
     def _robot(self, robot: RobotReport) -> Iterator[str]:
         summary = robot.summary
         yield f'<p class="verdict">{text(verdict(robot))}</p>'
-        yield from _tiles(robot)
         if summary.worst is not None:
             at = self._at(summary, summary.worst.time_ns, clock(summary.worst.time_ns))
             yield f'<p class="note">Worst moment, {at}: {text(moment_words(summary.worst))}</p>'
@@ -386,34 +384,6 @@ class _Page:
         file = shlex.quote(f"{robot}-{re.sub('[-:]', '', iso(drive.start_ns)[:19])}Z.html".replace("/", "-"))
         period = f"--from {iso(from_ns)} --to {iso(to_ns)}"
         return f"cruiser review report {self._logs} --robot {shlex.quote(robot)} {period} -o {file}"
-
-
-def _tiles(robot: RobotReport) -> Iterator[str]:
-    summary = robot.summary
-    stops, by_operators = sum(summary.stops.values()), operators_stops(summary.stops)
-    faults, ends = stops - by_operators, sum(summary.ends.values())
-    drives = len(robot.drives) + robot.more_drives
-    tiles = [
-        ("", distance(summary, is_short=True), f"in {counted(drives, 'drive')}"),
-        ("bad" if faults else "good", str(faults), "stops by faults"),
-        ("", str(by_operators), "stops by operators"),
-        ("", str(ends), "normal ends"),
-        ("", f"{abs(summary.top_mps):.2f} m/s", "top speed"),
-        (_badly(summary.lost_samples), _or_absent(summary.lost_samples), "samples lost"),
-        (_badly(summary.lost_frames), _or_absent(summary.lost_frames), "frames lost"),
-    ]
-    yield '<ul class="figures">'
-    for kind, value, name in tiles:
-        yield f'<li class="{kind}"><strong>{text(value)}</strong><span>{text(name)}</span></li>'
-    yield "</ul>"
-
-
-def _badly(count: int | None) -> str:
-    return "good" if count == 0 else "bad"
-
-
-def _or_absent(count: int | None) -> str:
-    return ABSENT if count is None else str(count)
 
 
 def _chart(name: str, kind: str, about: str, caption: str, marks: str) -> Iterator[str]:

@@ -377,7 +377,7 @@ $ report a.mcap => file report.html has Drive report
 == a damaged log gives a report of what can be read [drive-cut.mcap]
 3$ report drive-cut.mcap -o r.html => cruiser review: drive-cut.mcap: byte | file r.html has What could not be read
 == a gateway that died is told on the terminal and as JSON [restart.mcap]
-$ report restart.mcap => 1 stop: the gateway died. | Gateway silent for 2.0 s from
+$ report restart.mcap => 1 stop: the gateway died; 40 samples lost. | Gateway silent for 2.0 s from
 $ report restart.mcap --json => "kind":"gap" | "kind":"gateway" | "variant":"coarse"
 == a report's period counts from the log's beginning [a.mcap]
 $ report a.mcap --json --from 1 --to 2 => {"robots": [{"known_s": 0.95}]}

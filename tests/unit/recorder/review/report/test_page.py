@@ -172,6 +172,10 @@ def changed(report: Report, **changes: object) -> Report:
         ({"known_s": 0.0, "stops": {}}, "1 drive, distance not in the log; no stops."),
         ({"gaps": 2, "gap_s": 8.31, "stops": {}}, "1 drive, at least 10.0 m (8.3 s not recorded); no stops."),
         ({"stops": {DIED: 1}}, "1 drive, 10.0 m; 1 stop: the gateway died."),
+        (
+            {"stops": {}, "lost_samples": 3, "lost_frames": 1},
+            "1 drive, 10.0 m; no stops; 3 samples lost; 1 frame lost.",
+        ),
         ({"stops": {}, "ends": {"disengaged": 2}}, "1 drive, 10.0 m; no stops; 2 normal ends."),
         (
             {"stops": {"remote_stop": 1}},
@@ -341,10 +345,8 @@ def test_the_verdict_comes_first(tmp_path: Path) -> None:
     log = [gateway_info(0, "a = 1\n"), *restart(100, 60), gateway_info(160, "a = 2\n")]
     html = page(report_of(write_messages(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))))
     before, _, after = html.partition(">Path<")
-    assert (
-        '<p class="verdict">1 drive, at least 4.9 m (3.0 s not recorded); 1 stop: the gateway died.</p>' in before
-    )
-    assert "<strong>1</strong><span>stops by faults</span>" in before
+    said = "1 drive, at least 4.9 m (3.0 s not recorded); 1 stop: the gateway died; 60 samples lost."
+    assert f'<p class="verdict">{said}</p>' in before
     assert '<p class="note">Worst moment, <a href="#t=2027-01-15T08:00:08.000Z">08:00:08.000</a>: ' in before
     row = '<tr class="error" data-ms="1800000008000"><td><a href="#t=2027-01-15T08:00:08.000Z">'
     assert f"{row}08:00:08.000</a></td><td>gateway</td>" in after
