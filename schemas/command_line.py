@@ -137,7 +137,7 @@ GONE_WORDS: Final[Mapping[str, str]] = {
 """Commands (``serve``) and flags (``review export --add``) as they were typed: what to use."""
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
-    "upload.hours": "a systemd timer has the hours, see docs/upload.md",
+    "upload.hours": "a systemd timer has the hours, see docs/recording.md",
     "command.brake_pedal_percent": "the brake pedal is never pressed",
     "authority.max_offline_h": "a robot is engaged however long its authority was silent; give grants of hours",
     "authority.require_fresh": "a robot waits for no word of its authority; give grants of hours",

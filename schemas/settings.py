@@ -190,7 +190,7 @@ class RecorderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class UploadSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The upload of finished logs: see docs/upload.md.
+    """The upload of finished logs: see docs/recording.md.
 
     Attributes:
         store: URL of the object store: s3://BUCKET/PLACE, gs://BUCKET/PLACE, az://CONTAINER/PLACE,
