@@ -110,11 +110,7 @@ encode: Final = msgspec.msgpack.Encoder().encode  # a message's MessagePack byte
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
-    """A payload to publish under a subject.
-
-    Attributes:
-        payload: MessagePack.
-    """
+    """A payload to publish under a subject."""
 
     subject: str
     payload: bytes

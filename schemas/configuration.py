@@ -107,15 +107,7 @@ Kind = inspect.Type
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """One setting.
-
-    Attributes:
-        section: the table of the TOML file.
-        name: the key in that table.
-        annotation: the type with its bounds, for msgspec.
-        start: the value in force when no source gives one.
-        about: its description, for people.
-    """
+    """One setting."""
 
     section: str
     name: str

@@ -200,12 +200,7 @@ class KnownRobots:
 
 
 class OperatorProof(KnownRobots):
-    """An operator's key and grant, and the robots that were met.
-
-    Attributes:
-        name: under which the grant lets its holder command.
-        statement: the grant with its chain, to be shown to robots.
-    """
+    """An operator's key and grant, and the robots that were met."""
 
     def __init__(
         self,

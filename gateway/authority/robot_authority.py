@@ -186,12 +186,7 @@ def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
 
 
 class AuthorityEffects(msgspec.Struct):
-    """Actions of one tick.
-
-    Attributes:
-        bars: why nobody may engage, if that has changed.
-        ended: why the holder's grant does not hold any more.
-    """
+    """Actions of one tick."""
 
     samples: list[Sample]
     bars: dict[Reason, str] | None = None

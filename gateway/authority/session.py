@@ -77,12 +77,7 @@ class DriveTags:
 
 
 class RobotSigner:
-    """Signs in the robot's name.
-
-    Attributes:
-        boot: random, of this run of the gateway, 8 bytes.
-        public_key: the robot's, Ed25519, 32 bytes.
-    """
+    """Signs in the robot's name."""
 
     def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
         self.boot = boot

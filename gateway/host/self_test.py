@@ -48,12 +48,7 @@ ANSWER_TIMEOUT_S: Final = 0.5
 
 
 class Attempt(msgspec.Struct, frozen=True):
-    """An attempt by somebody without any right, at one endpoint.
-
-    Attributes:
-        is_connected: it has a link. Without one, nothing was tried.
-        deeds: the attempts that were not denied, in words.
-    """
+    """An attempt by somebody without any right, at one endpoint."""
 
     is_connected: bool
     deeds: list[str] = []
@@ -171,12 +166,7 @@ INSTALL: Final = "'cruiser provision install --replace' writes it"
 
 
 class Reached(msgspec.Struct, frozen=True):
-    """Where a gateway is reached.
-
-    Attributes:
-        connect: where it dials out to.
-        listen: where it listens, for telemetry and for commands.
-    """
+    """Where a gateway is reached."""
 
     connect: list[str]
     listen: list[str]

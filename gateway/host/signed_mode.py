@@ -112,12 +112,7 @@ _DAY_S: Final = 86_400
 
 
 class SignedMode:
-    """The authority of a robot, and where it keeps what it learns.
-
-    Attributes:
-        authority: what the robot knows of it.
-        certificate_ends_s: when the certificate ends that the gateway connects with, seconds since 1970.
-    """
+    """The authority of a robot, and where it keeps what it learns."""
 
     def __init__(self, settings: Settings, core: Core) -> None:
         directory = directory_of(settings.authority)

@@ -58,6 +58,7 @@ from schemas.authority.proof import (
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
 from schemas.command_line import CommandError, ExitCode, plain
+from schemas.configuration import write_string
 from schemas.subjects import TEXT_MAX_BYTES
 
 FLEET_FILE: Final = "fleet.json"
@@ -241,20 +242,15 @@ _LOOPBACK: Final = ("127.0.0.1", "[::1]", "localhost")
 def _settings(store: KeyStore, bundle: Bundle) -> str:
     """Settings by which every command is this machine's or this person's: ``--config``, or CRUISER_CONFIG."""
     role, who = bundle.role, bundle.role.value
-    robot = f"name = {_quoted(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
+    robot = f"name = {write_string(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
     # Who has no key signs nothing, and believes what robots sign all the same.
     mode = "" if role is EnrolmentRole.ROUTER else 'mode = "signed"\n'
     return (
         "# Written by 'cruiser provision install', which leaves it alone once it is there: add what you like.\n"
-        f"[robot]\nroot = {_quoted(bundle.fleet.root)}\n{robot}\n"
-        f"[authority]\n{mode}directory = {_quoted(str(store.directory))}\n\n"
-        f"[zenoh]\nconfig = {_quoted(str(store.path(ZENOH_FILE.format(who=who))))}\n"
+        f"[robot]\nroot = {write_string(bundle.fleet.root)}\n{robot}\n"
+        f"[authority]\n{mode}directory = {write_string(str(store.directory))}\n\n"
+        f"[zenoh]\nconfig = {write_string(str(store.path(ZENOH_FILE.format(who=who))))}\n"
     )
-
-
-def _quoted(text: str) -> str:
-    """A basic string of TOML, whose escapes are those of JSON."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 def _json(struct: AuthorityKeys | msgspec.Struct) -> str:
@@ -284,12 +280,7 @@ class Serials(msgspec.Struct, frozen=True):
 
 
 class Issued(msgspec.Struct, frozen=True):
-    """A line of ``issued.jsonl``: who was let in.
-
-    Attributes:
-        role: of the request; those of before have sites.
-        tls: fingerprint of the certificate's key; empty in lines of before it was kept.
-    """
+    """A line of ``issued.jsonl``: who was let in."""
 
     at: int
     role: str

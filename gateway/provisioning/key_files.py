@@ -50,7 +50,6 @@ from schemas.authority.key_files import (
     remade,
     renewed,
 )
-from schemas.authority.proof import Signed, StatementFault, read_chain
 from schemas.authority.trust import fingerprint
 from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import ZenohSettings
@@ -375,14 +374,6 @@ class KeyStore:
             raise CommandError(
                 f"{plain(str(self.path(name)))} is damaged: {error}; {cure}", ExitCode.USAGE
             ) from error
-
-    def chain(self, name: str, cure: str) -> list[Signed]:
-        chain = read_chain(self.read(name, cure))
-        if isinstance(chain, StatementFault):
-            raise CommandError(
-                f"{plain(str(self.path(name)))} is no grant: {chain.detail}; {cure}", ExitCode.USAGE
-            )
-        return chain
 
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
         """A private key as a file holds it, under the passphrase if it is to be protected."""

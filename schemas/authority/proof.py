@@ -112,12 +112,7 @@ _REQUEST: Final = Struct(f">B{ID_BYTES}s{ID_BYTES}s{ID_BYTES}s{SIGNATURE_BYTES}s
 
 
 class DriveProof(msgspec.Struct, frozen=True):
-    """The attachment of a drive command: 25 bytes. Sequence and challenge stand in the payload.
-
-    Attributes:
-        lease: number of the lease, as in the payload.
-        tag: HMAC-SHA256 under the key of the lease, cut.
-    """
+    """The attachment of a drive command: 25 bytes. Sequence and challenge stand in the payload."""
 
     lease: int
     tag: bytes = bytes(TAG_BYTES)
@@ -141,12 +136,7 @@ _DRIVE: Final = Struct(f">BQ{TAG_BYTES}s")
 
 
 class RobotProof(msgspec.Struct, frozen=True):
-    """The attachment of a reply, or of a published state: 73 bytes.
-
-    Attributes:
-        boot: random, drawn at the start of the gateway.
-        signature: the robot's, Ed25519.
-    """
+    """The attachment of a reply, or of a published state: 73 bytes."""
 
     boot: bytes
     signature: bytes = bytes(SIGNATURE_BYTES)
@@ -266,13 +256,7 @@ class Revocations(_Statement, frozen=True, forbid_unknown_fields=True, tag="revo
 
 
 class Rotation(_Statement, frozen=True, forbid_unknown_fields=True, tag="rotation", kw_only=True):
-    """The authority's keys from now on. Signed by the standby key, which the robots know.
-
-    Attributes:
-        serial: rises with each rotation.
-        active, standby: the keys.
-        epoch: no grant of a lower epoch counts any more.
-    """
+    """The authority's keys from now on. Signed by the standby key, which the robots know."""
 
     serial: Serial
     at: Time
@@ -285,13 +269,7 @@ Statement = Grant | Revocations | Rotation
 
 
 class Signed(msgspec.Struct, frozen=True):
-    """A statement with its signature, as it was received.
-
-    Attributes:
-        body: the signed bytes, JSON.
-        signer: the key that the signature is said to be of.
-        statement: the decoded body.
-    """
+    """A statement with its signature, as it was received."""
 
     body: bytes
     signer: bytes

@@ -6,8 +6,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,7 @@ from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import EXTENDED
 from gateway.client import remote_stop
 from gateway.client.refusal import LeaseLost, Stopped, Unreachable
-from gateway.client.robot import Lease, Robot
+from gateway.client.robot import Robot
 from gateway.provisioning.key_files import LEAF_DAYS
 from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason
@@ -177,24 +177,25 @@ def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSit
     """Under it the robot drives, or stands by its rules; afterwards it drives, engaged anew if need be."""
     host, _, port = site.network.endpoint.removeprefix("tls/").partition(":")
     with running(site) as (_, witness), ExitStack() as stack:
-        drive = _Drive(site, stack)
-        drive.until(LIMIT_MPS * 0.9)
-        flooders = [
-            stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-c", FLOODER, host, port, str(HANDSHAKES)], stdout=subprocess.PIPE, text=True
-                )
-            )
-            for _ in range(FLOODERS)
-        ]
-        for flooder in flooders:
-            stack.callback(flooder.kill)
-        while any(flooder.poll() is None for flooder in flooders):
-            drive.step()
+        flooders: list[subprocess.Popen[str]] = []
+        before = [0]
+
+        def is_over() -> bool:
+            """Flood once it drives; it is over when it drives again behind the flood."""
+            is_fast = max(witness.speeds[before[0] :], default=0) * BIT_MPS > LIMIT_MPS * 0.9
+            if is_fast and not flooders:
+                command = [sys.executable, "-c", FLOODER, host, port, str(HANDSHAKES)]
+                for _ in range(FLOODERS):
+                    flooder = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+                    stack.callback(flooder.kill)
+                    flooders.append(stack.enter_context(flooder))
+            if not flooders or any(one.poll() is None for one in flooders):
+                before[0] = len(witness.speeds) if flooders else 0
+                return False
+            return is_fast
+
+        drive_until(site, is_over)
         assert [flooder.communicate()[0] for flooder in flooders] == ["done\n"] * FLOODERS
-        before = len(witness.speeds)
-        drive.until(LIMIT_MPS * 0.9)
-        wait_until(lambda: max(witness.speeds[before:], default=0) * BIT_MPS > LIMIT_MPS / 2, drive.step)
         assert_lawful(witness.speeds)
 
 
@@ -213,50 +214,10 @@ def test_a_viewers_stop_is_seen_to_be_carried_out(site: SecuredSite) -> None:
     assert (report.stopped, report.silent) == ([ROBOT], [])
 
 
-class _Drive:
-    """Somebody who drives, and engages anew where the robot was stopped."""
-
-    def __init__(self, site: SecuredSite, stack: ExitStack) -> None:
-        self._site = site
-        self._stack = stack
-        self._now = self._begin()
-
-    def step(self) -> None:
-        """Ask for the speed; where the robot has stopped by its rules, begin again."""
-        try:
-            self._now[1].drive(WANTED_MPS)
-        except (Stopped, Unreachable, LeaseLost):
-            self._end()
-            self._now = self._begin()
-        time.sleep(0.02)
-
-    def until(self, speed_mps: float) -> None:
-        """Drive until the chassis is this fast."""
-
-        def is_fast() -> bool:
-            try:
-                seen = self._now[0].state().chassis
-            except Unreachable:
-                return False
-            return seen is not None and (seen.speed_mps or 0.0) >= speed_mps
-
-        wait_until(is_fast, self.step)
-
-    def _begin(self) -> tuple[Robot, Lease]:
-        self._scope = ExitStack()
-        self._stack.callback(self._end)
-        found: list[tuple[Robot, Lease]] = []
-
-        def engaged() -> bool:
-            # Amid a flood a router may not answer in time.
-            try:
-                found.append(self._scope.enter_context(driving(self._site)))
-            except CommandError:
-                self._end()
-            return bool(found)
-
-        wait_until(engaged)
-        return found[0]
-
-    def _end(self) -> None:
-        self._scope.close()
+def drive_until(site: SecuredSite, is_over: Callable[[], bool]) -> None:
+    """Drive, and engage anew where the robot was stopped by its rules, or a flooded router does not answer."""
+    while not is_over():
+        with suppress(Stopped, Unreachable, LeaseLost, CommandError), driving(site) as (_, lease):
+            while not is_over():
+                lease.drive(WANTED_MPS)
+                time.sleep(0.02)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from schemas.configuration import merge
-from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
+from schemas.settings import ZenohSettings
 from schemas.zenoh_session import (
     CONNECT,
     LISTEN,
@@ -15,13 +15,11 @@ from schemas.zenoh_session import (
     ROUTER_LOOKS,
     Json,
     _configuration,
-    client_endpoints,
     finds_router,
     is_loopback,
     lease_in_force_ms,
     next_ports,
     own_endpoint,
-    place,
     said,
     said_of,
 )
@@ -189,15 +187,3 @@ def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) 
     assert in_force_with({"zenoh.mode": "peer", "zenoh.lease_ms": 1000}) == ["peer", 1000, False, 4]
     file.write_text("{}")
     assert in_force_with({}) == ["peer", 1000, True, 8]
-
-
-def test_a_command_connects_to_this_machine_unless_told_otherwise(tmp_path: Path) -> None:
-    """The settings say where to connect, else the Zenoh file, else it is the gateway's own start endpoint."""
-    assert client_endpoints(ZenohSettings()) == [DEFAULT_ENDPOINT]
-    assert client_endpoints(ZenohSettings(connect=["tcp/127.0.0.1:1"])) == ["tcp/127.0.0.1:1"]
-    file = tmp_path / "zenoh.json5"
-    file.write_text("{ connect: { endpoints: ['tcp/127.0.0.1:7501'] } }")
-    assert client_endpoints(ZenohSettings(config=str(file))) == ["tcp/127.0.0.1:7501"]
-    assert place(ZenohSettings(config=str(file))) == "tcp/127.0.0.1:7501"
-    file.write_text("{}")
-    assert client_endpoints(ZenohSettings(config=str(file))) == [DEFAULT_ENDPOINT]

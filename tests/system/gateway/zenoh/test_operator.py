@@ -7,7 +7,7 @@ from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort, SafetyListener
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode
-from schemas.settings import RobotSettings, Settings, ZenohSettings
+from schemas.settings import Settings, ZenohSettings
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
@@ -72,18 +72,3 @@ def test_a_closed_port_neither_hangs_nor_raises_anything_of_zenoh() -> None:
             port.ask("stop", b"", 1)
         assert caught.value.code is ExitCode.UNREACHABLE
         assert list(listener.drain()) == []
-
-
-def test_names_that_cannot_be_are_an_error_before_anything_is_sent() -> None:
-    """A root, a robot or an operator that is not of its form is a usage error."""
-    settings = settings_for(free_endpoint())
-    odd = Settings(robot=RobotSettings(root="a//b"), zenoh=settings.zenoh)
-    for call in (
-        lambda: CommandPort.open(settings, "Robot", "first"),
-        lambda: CommandPort.open(settings, "cruiser-1", "first/second"),
-        lambda: CommandPort.open(odd, "cruiser-1", "first"),
-        lambda: SafetyListener.open(settings, "*"),
-    ):
-        with pytest.raises(CommandError) as caught:
-            call()
-        assert caught.value.code is ExitCode.USAGE

@@ -11,7 +11,7 @@ from gateway.host import self_test
 from gateway.host.self_test import Attempt, Reached, access_fault, find_hole, own_fault
 from schemas.command_line import CommandError
 from schemas.settings import AuthoritySettings, Settings, ZenohSettings
-from tests.support.provisioning import ENDPOINT, ProvisionedFleet
+from tests.support.provisioning import ProvisionedFleet
 
 ROUTER = "tls/router.example:7447"
 ACCESS: dict[str, Any] = {
@@ -95,43 +95,11 @@ def test_a_gateway_without_a_zenoh_file_or_with_a_wrong_one_is_not_in_order(sett
     assert str(file) in own_fault(settings, place)
 
 
-class Attempts:
-    """What an intruder comes to, and where somebody gets in without a certificate."""
-
-    def __init__(self) -> None:
-        self.attempt = Attempt(is_connected=True)
-        self.entrance = ""
-        self.tried: list[str] = []
-
-    def intrude(self, _settings: Settings, endpoint: str, *_rest: object) -> Attempt:
-        self.tried.append(endpoint)
-        return self.attempt
-
-
-@pytest.fixture
-def network(monkeypatch: pytest.MonkeyPatch) -> Attempts:
-    found = Attempts()
-    monkeypatch.setattr(self_test, "open_session", lambda *_, **__: None)
-    monkeypatch.setattr(self_test, "close_session", lambda _: None)
-    monkeypatch.setattr(self_test, "intrude", found.intrude)
-    monkeypatch.setattr(self_test, "enters_without_certificate", lambda *_: found.entrance)
-    return found
-
-
-def test_a_router_that_shuts_out_has_no_hole_and_another_is_named(settings: Settings, network: Attempts) -> None:
-    """With what was not denied, and the file of the router's that cures it."""
-    assert find_hole(settings) == ""
-    assert network.tried == [ENDPOINT]
-    network.attempt = Attempt(is_connected=True, deeds=["a put on X arrives"])
-    assert find_hole(settings) == (
-        f"a certificate without any right is not shut out: a put on X arrives; the router at {ENDPOINT} has to "
-        "run from the router.json5 that 'cruiser provision install' writes there"
-    )
-
-
-def test_what_could_not_be_tried_is_no_sound_router(settings: Settings, network: Attempts) -> None:
+def test_what_could_not_be_tried_is_no_sound_router(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
     """No link proves nothing, nor does a certificate of another key."""
-    network.attempt = Attempt(is_connected=False)
+    for name in ("open_session", "close_session"):
+        monkeypatch.setattr(self_test, name, lambda *_, **__: None)
+    monkeypatch.setattr(self_test, "intrude", lambda *_: Attempt(is_connected=False))
     with pytest.raises(CommandError, match="gets no link"):
         find_hole(settings)
     directory = Path(settings.authority.directory)
@@ -139,13 +107,3 @@ def test_what_could_not_be_tried_is_no_sound_router(settings: Settings, network:
     (directory / "nothing-tls.pem").write_bytes((other / "nothing-tls.pem").read_bytes())
     with pytest.raises(CommandError, match="is not of the key beside it"):
         find_hole(settings)
-
-
-def test_a_listener_that_asks_for_no_certificate_is_named(settings: Settings, network: Attempts) -> None:
-    """What an endpoint says against the file."""
-    file = Path(settings.zenoh.config)
-    file.write_text(file.read_text().replace('"mode": "client"', '"mode": "peer"'))
-    zenoh = ZenohSettings(config=str(file), listen=["tls/127.0.0.1:7447"])
-    network.entrance = "tcp/127.0.0.1:7447"
-    said = find_hole(Settings(zenoh=zenoh, authority=settings.authority))
-    assert said.startswith("tcp/127.0.0.1:7447 lets in who shows no certificate: leave out what the endpoint tls/")

@@ -67,18 +67,6 @@ def test_a_certificate_does_not_outlive_its_authority() -> None:
         issue(request, TransportRole.VIEWER, authority, ca, end_s)
 
 
-def test_a_key_that_is_not_the_authoritys_signs_nothing() -> None:
-    """Two directories were mixed up."""
-    with pytest.raises(CertificateError, match="not that of its certificate"):
-        issue(
-            new_request(new_key(), "viewer", ["hall"]),
-            TransportRole.VIEWER,
-            new_authority(new_key(), NOW_S),
-            new_key(),
-            NOW_S,
-        )
-
-
 def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *, named: bool, common: str) -> str:
     """A request as somebody else's tool would make it."""
     builder = x509.CertificateSigningRequestBuilder().subject_name(
@@ -167,21 +155,6 @@ def test_a_certificate_of_another_key_and_one_that_is_over_are_named(file: Path,
     refused(file, ends_s(file) - DAY_S, "is not the certificate of")
     file.with_name("router-tls.key").chmod(0o644)
     refused(file, ends_s(file) - DAY_S, "chmod 600")
-
-
-def test_a_certificate_of_another_network_is_named(file: Path, tmp_path: Path) -> None:
-    """Whichever of the two files was exchanged, both are said; beside the right authority others may count."""
-    other = router_of(tmp_path / "other").parent
-    ca, now_s = file.with_name("ca.pem"), ends_s(file) - RENEW_S - 60
-    own = ca.read_text()
-    ca.write_text((other / "ca.pem").read_text())
-    refused(file, now_s, r"router-tls\.pem is of another network than .*ca\.pem.*renew router")
-    ca.write_text((other / "ca.pem").read_text() + own)
-    assert check_tls_files(file, "router", now_s) == ""
-    for name in ("router-tls.pem", "router-tls.key"):
-        file.with_name(name).write_bytes((other / name).read_bytes())
-    ca.write_text(own)
-    refused(file, now_s, "is of another network than")
 
 
 def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
