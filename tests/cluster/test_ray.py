@@ -188,7 +188,6 @@ from pathlib import Path
 from recorder.reading.logs import Faults, find_logs
 from recorder.review import export
 from recorder.review.tasks import TaskRunner
-from schemas.command_line import CommandError
 
 address, logs, out, notes, mortal = *sys.argv[1:2], *map(Path, sys.argv[2:5]), sys.argv[5]
 export_log = export.export_log
@@ -204,17 +203,11 @@ def task(one, progress):
     note.write_text("x" * (tries + 1))
     if name == "00002.mcap" and not tries:
         raise OSError(5, "the disk is away for a moment")
-    if name == "00003.mcap" and not mortal:
-        raise OSError(5, "the disk is away")
     return export_log(one, progress)
 
 export.export_log = task
 faults = Faults()
-try:
-    found = find_logs([logs], faults)
-    export.export_dataset(found, out, export.ExportRange(), faults, run=TaskRunner(ray=address))
-except CommandError as error:
-    print(error)
+export.export_dataset(find_logs([logs], faults), out, export.ExportRange(), faults, run=TaskRunner(ray=address))
 print(*((notes / f"{number:05}.mcap").read_text() for number in range(10)))
 """
 
@@ -248,22 +241,3 @@ def test_a_node_that_dies_in_the_middle_costs_its_tasks_a_second_try(cluster: st
         out, _ = process.communicate(timeout=WITHIN_S)
     assert out.split() == ["x", "x", "xx", *["x"] * 7]
     assert contents(tmp_path / "here") == contents(tmp_path / "there")
-
-
-def test_a_task_that_always_fails_is_one_clear_error(cluster: str, tmp_path: Path) -> None:
-    """After four tries, and there is no dataset."""
-    ten(tmp_path)
-    done = python(FAILING, cluster, tmp_path / "logs", tmp_path / "there", tmp_path / "notes", "")
-    said, tries = done.stdout.splitlines()
-    assert said == f"cannot write {tmp_path / 'there'}: the disk is away"
-    assert tries.split()[3] == "xxxx"
-    assert list((tmp_path / "there").iterdir()) == []
-
-
-def test_a_cluster_that_is_not_there_is_one_clear_error(tmp_path: Path) -> None:
-    """Without an answer that could be taken for one."""
-    write_logs(tmp_path / "logs", 1)
-    done = review("rerun", "--ray", f"ray://{HEAD}:{free_port()}", tmp_path / "logs")
-    assert done.returncode == ExitCode.UNREACHABLE, done.stderr
-    assert "no Ray cluster answers" in done.stderr
-    assert done.stdout == ""

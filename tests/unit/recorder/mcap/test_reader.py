@@ -146,14 +146,6 @@ def test_a_cut_is_a_fault_wherever_it_is() -> None:
     assert messages == 12
 
 
-def test_every_flipped_byte_is_noticed() -> None:
-    """No damage goes unseen: the checksums cover the whole file."""
-    for place in range(len(MAGIC), len(LOG)):
-        damaged = bytearray(LOG)
-        damaged[place] ^= 1 << place % 8
-        assert any(isinstance(one, Fault) for one in walked(bytes(damaged))), place
-
-
 @given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())
 def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verifying: bool) -> None:  # noqa: FBT001 - a parameter
     """Noise in place of a file's bytes, or of the file."""

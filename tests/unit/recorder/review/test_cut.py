@@ -133,18 +133,6 @@ def test_files_of_others_are_copied_as_they_are(
     assert ("origin", {"by": "somebody"}) in [(one.name, one.metadata) for one in read.metadata]
 
 
-def test_damage_costs_what_is_damaged(tmp_path: Path) -> None:
-    """It is told, and the rest is in the new file, which is whole."""
-    data = bytearray(own_log([gears(0, 3, 10), gears(3, 3, 100), gears(6, 3, 200)]))
-    data[data.index(b"zstd", data.index(b"zstd") + 4) + 20] ^= 0xFF
-    faults = Faults()
-    _, read = part(tmp_path, bytes(data), told=faults)
-    assert [message[1] for message in read.messages] == [0, 1, 2, 6, 7, 8]
-    [fault] = faults.told
-    assert "a chunk cannot be read" in fault
-    assert check_log(tmp_path / "out.mcap").whole
-
-
 def test_any_noise_still_makes_a_whole_file(tmp_path: Path) -> None:
     """Random damage, many times over: never a traceback, and the result is sound."""
     generator = random.Random(3)  # noqa: S311 - nothing here is secret

