@@ -14,9 +14,8 @@ from mcap import records
 
 from recorder.cli import asking
 from recorder.cli.review import QUESTIONS
-from recorder.mcap.arrays import Blocks
 from recorder.mcap.framing import BROKEN, MAGIC, RECORD_MAX, UNPACKED_MAX, encode
-from recorder.mcap.pieces import NO_RECORD, Fault, MessageBlock, content_of
+from recorder.mcap.pieces import NO_RECORD, content_of
 from recorder.mcap.reader import DamagedError
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
@@ -95,16 +94,6 @@ def test_times_beyond_63_bits_are_said_once(
     with suppress(CommandError):
         review(question, *words)
     assert capsys.readouterr().err.count("after 2262-04-11") == 1
-
-
-def test_zeros_are_no_records() -> None:
-    """Nine of them would look like one, and a chunk holds millions."""
-    zeros = MessageBlock(7, bytes(1_000_000))
-    assert list(zeros.messages()) == [Fault(7, NO_RECORD)]
-    assert zeros.read_index() == ({}, [Fault(7, NO_RECORD)])
-    waiting = Blocks()
-    waiting.add(zeros)
-    assert waiting.read().others == [(0, Fault(7, NO_RECORD))]
 
 
 @pytest.mark.parametrize("question", READERS)

@@ -6,19 +6,16 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap import records
 from mcap.writer import CompressionType
 
 from recorder.mcap.framing import MAGIC, MESSAGE_HEADER
 from recorder.mcap.reader import (
-    DamagedError,
     End,
     Fault,
     LoggedMessage,
     MessageBlock,
     PackedChunk,
     Piece,
-    SummaryStart,
     read_pieces,
 )
 from tests.support.logs import foreign_log, gears, own_log
@@ -50,23 +47,6 @@ def walked(data: bytes) -> list[Piece | LoggedMessage]:
 
 def chunks(data: bytes) -> list[PackedChunk]:
     return [piece for piece in pieces(data) if isinstance(piece, PackedChunk)]
-
-
-def test_a_whole_file_comes_in_its_order() -> None:
-    """Header, declarations, chunks; then what its end repeats."""
-    assert [type(piece) for piece in pieces(LOG)] == [
-        records.Header,
-        records.Schema,
-        records.Channel,
-        records.Metadata,
-        *4 * [PackedChunk],
-        SummaryStart,
-        records.Schema,
-        records.Channel,
-        records.Statistics,
-        End,
-    ]
-    assert pieces(LOG, is_verifying=False)[-1] == End()
 
 
 def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
@@ -120,30 +100,6 @@ def test_a_damaged_chunk_costs_its_own_messages_only(start: int, bytes_: bytes) 
         ]
         assert [start_ns for start_ns in starts if start_ns != 200] == [100, 300, 400]
     assert isinstance(found[-1], End)
-
-
-@pytest.mark.parametrize("name", [b"zstx", b"gzip"])
-def test_a_compression_that_nobody_knows_is_told_when_it_is_unpacked(name: bytes) -> None:
-    """The chunk itself can be passed over."""
-    data = LOG.replace(b"zstd", name)
-    for chunk in chunks(data):
-        with pytest.raises(DamagedError, match="not known here"):
-            chunk.unpack()
-        assert [type(one) for one in chunk.read_index()[1]] == [Fault]
-
-
-def test_a_cut_is_a_fault_wherever_it_is() -> None:
-    """At every byte: what is before the cut is read, then the fault says so, and nothing raises."""
-    messages = 0
-    for size in range(len(MAGIC), len(LOG)):
-        found = walked(LOG[:size])
-        last = found[-1]
-        assert isinstance(last, Fault)
-        assert last.cuts
-        count = sum(isinstance(one, LoggedMessage) for one in found)
-        assert count >= messages, "a longer file holds no less"
-        messages = count
-    assert messages == 12
 
 
 @given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())

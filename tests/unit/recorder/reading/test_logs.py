@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.reading.logs import FAULTS_SHOWN, Faults, find_logs, look_at
-from schemas.command_line import CommandError
 from tests.support.logs import flipped, foreign_log, gears, own_log, saved
 
 
@@ -92,15 +91,6 @@ def test_the_time_of_a_file_is_told_in_any_state(tmp_path: Path, data: bytes, sp
     assert found.bytes == len(data)
 
 
-def test_one_of_several_that_is_none_is_told(tmp_path: Path) -> None:
-    """The others are found."""
-    faults = Faults()
-    good = saved(tmp_path / "a.mcap", log(1))
-    found = find_logs([good, tmp_path / "none.mcap", saved(tmp_path / "b.mcap", b"hello, hello")], faults)
-    assert [one.path for one in found] == [good]
-    assert ["No such file" in faults.told[0], "is no MCAP file" in faults.told[1]] == [True, True]
-
-
 @pytest.mark.parametrize("is_directory", [False, True])
 def test_a_fifo_is_no_log(tmp_path: Path, *, is_directory: bool) -> None:
     """It is not opened, which would wait for a writer; the logs beside it are found."""
@@ -111,14 +101,6 @@ def test_a_fifo_is_no_log(tmp_path: Path, *, is_directory: bool) -> None:
     found = find_logs([tmp_path] if is_directory else [good, fifo], faults)
     assert [one.path for one in found] == [good]
     assert faults.told == [f"{fifo} is no regular file"]
-
-
-def test_nothing_to_read_is_an_error(tmp_path: Path) -> None:
-    """One clear line."""
-    with pytest.raises(CommandError, match="there is no log in"):
-        find_logs([tmp_path], Faults())
-    with pytest.raises(CommandError, match="is empty"):
-        find_logs([saved(tmp_path / "x.mcap", b"")], Faults())
 
 
 @given(st.lists(st.text()))

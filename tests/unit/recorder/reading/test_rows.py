@@ -39,15 +39,6 @@ def of_subject(name: str) -> Selection:
     return Selection(wants=lambda topic: topic.subject == name)
 
 
-def test_every_row_has_its_topic_and_its_times(tmp_path: Path) -> None:
-    """And is decoded by the topic."""
-    first = rows(tmp_path, Selection(), LOG)[0]
-    assert (first.topic.name, first.topic.robot, first.topic.subject) == (GEAR_TOPIC, "cruiser-1", "chassis/gear")
-    assert (first.sequence, first.log_ns, first.publish_ns) == (0, 100, 100)
-    assert first.topic.decode is not None
-    assert first.topic.decode(first.data).sequence == 0
-
-
 def test_what_is_not_of_its_schema_is_a_fault_and_left_out(tmp_path: Path) -> None:
     """The rows before and behind it come with their messages."""
     path = saved(
@@ -131,24 +122,6 @@ def test_what_is_read_of_a_file(
     assert any(fault in one for one in faults.told) == bool(fault)
 
 
-def test_a_file_that_is_gone_meanwhile_costs_itself(tmp_path: Path) -> None:
-    """The others are read."""
-    faults = Faults()
-    paths = [saved(tmp_path / name, own_log([gears(0, 2, 5)])) for name in ("a.mcap", "b.mcap")]
-    logs = find_logs(paths, faults)
-    paths[0].unlink()
-    assert len(list(read_rows(logs, Selection(), faults))) == 2
-    assert "No such file" in faults.told[0]
-
-
-def test_the_progress_comes_to_the_length_of_the_file(tmp_path: Path) -> None:
-    """Bytes passed over count as well."""
-    told: list[int] = []
-    log = find_logs([saved(tmp_path / "a.mcap", LOG)], Faults())
-    list(read_rows(log, of_subject("nothing"), Faults(), told.append))
-    assert sum(told) == len(LOG)
-
-
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     return saved(tmp_path / "a.mcap", small_log())
@@ -163,13 +136,6 @@ def test_messages_are_typed_and_in_order(log: Path) -> None:
     times = [one.log_time_ns for one in found]
     assert times == sorted(times)
     assert len(list(read_log(log))) > len(found)
-
-
-def test_a_time_bounds_what_is_read(log: Path) -> None:
-    """From the first to before the last."""
-    times = sorted(one.log_time_ns for one in read_log(log))
-    some = list(read_log(str(log), from_ns=times[0], to_ns=times[-1]))
-    assert len(some) == sum(time < times[-1] for time in times)
 
 
 def test_what_cannot_be_read_is_said(log: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -66,37 +66,6 @@ def test_a_key_of_ours_tells_robot_and_subject() -> None:
     assert (made_again.robot, made_again.owner, made_again.subject) == ("", "r", "")
 
 
-def test_the_protobuf_of_others_is_read_by_the_schema_in_the_log() -> None:
-    """A message with the fields that it names."""
-    other = descriptor_set(Gear).replace(b"cruiser", b"elsewhe")
-    decode = topic("/x", schema=("elsewhe.Gear", "protobuf", other)).decode
-    assert decode is not None
-    assert decode(ENCODE_GEAR(gear(7))).sequence == 7
-
-
-@pytest.mark.parametrize(
-    ("encoding", "schema"),
-    [
-        ("protobuf", ("a.B", "protobuf", b"\xff\xff")),
-        ("protobuf", ("a.B", "protobuf", b"")),
-        ("cdr", ("p/msg/T", "ros2msg", b"int8 x")),
-        ("", ("", "", b"")),
-    ],
-)
-def test_what_nobody_here_can_read_has_no_decoder(encoding: str, schema: tuple[str, str, bytes]) -> None:
-    """Only its bytes are known."""
-    assert topic("/x", encoding, schema).decode is None
-
-
-def test_json_is_read() -> None:
-    """As what json makes of it."""
-    decode = topic("/x", "json", ("T", "jsonschema", b"{}")).decode
-    assert decode is not None
-    assert decode(b'{"a": [1]}') == {"a": [1]}
-    with pytest.raises(UNREADABLE):
-        decode(b"{")
-
-
 def test_an_enumeration_of_a_newer_version_is_unreadable() -> None:
     """A number that this version has no name for is no value of it."""
     data = bytearray(ENCODE_GEAR(gear(0)))

@@ -224,14 +224,6 @@ def test_a_statement_sees_neither_files_nor_network(
 # The command.
 
 
-def test_a_statement_that_is_stopped_is_interrupted(tmp_path: Path) -> None:
-    """Ctrl-C, once, while it reads."""
-    with pytest.raises(KeyboardInterrupt):
-        review(
-            "query", "SELECT count(*) FROM chassis_gear", saved(tmp_path / "1.mcap", drive_log()), is_stopped=True
-        )
-
-
 def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,6 +1,6 @@
 """Logs run again: their journals in order, and the comparison of what was recorded with what comes out."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from functools import cache
 from pathlib import Path
@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Schema
-from mcap.writer import Writer
 
 from gateway.rerun import rerun
 from recorder.encoding.protobuf import compile_encoder
+from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Row
 from recorder.reading.survey import CONFIGURATION
@@ -40,7 +40,7 @@ from schemas.journal import Kind
 from schemas.messages import Variant
 from schemas.reasons import Reason
 from schemas.settings import CommandSettings, Settings
-from tests.support.logs import Log, small_log
+from tests.support.logs import Log, mcap_log, saved, small_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, info, sample_of
 from tests.support.rigs.day import Day
 
@@ -287,23 +287,17 @@ def read(log: Path) -> tuple[list[LoggedMessage], list[Attachment]]:
         return list(reader.iter_messages(log_time_order=False)), list(reader.iter_attachments())
 
 
-def write(path: Path, messages: Iterable[LoggedMessage], attachments: Iterable[Attachment]) -> Path:
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        ids: dict[int, int] = {}
-        for one in attachments:
-            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
-        for number, (schema, channel, message) in enumerate(messages):
-            assert schema is not None
-            if channel.id not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            # In this log all times of receipt are the same.
-            log_ns = message.log_time + number
-            writer.add_message(ids[channel.id], log_ns, message.data, message.publish_time, message.sequence)
-        writer.finish()
-    return path
+def write(path: Path, messages: Sequence[LoggedMessage], attachments: Iterable[Attachment]) -> Path:
+    channels = {
+        one.id: LogChannel(one.id, one.topic, schema.name, schema.data) for schema, one, _ in messages if schema
+    }
+    # In this log all times of receipt are the same.
+    rows = [
+        (channel.id, one.sequence, one.log_time + number, one.publish_time, one.data)
+        for number, (_, channel, one) in enumerate(messages)
+    ]
+    attached = [(one.name, one.data) for one in attachments]
+    return saved(path, mcap_log(channels.values(), [rows], attachments=attached))
 
 
 def of_depot() -> bytes:
