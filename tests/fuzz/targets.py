@@ -404,76 +404,54 @@ def _place(message: object, of: Sequence[Subject]) -> bytes:
     return bytes([next(number for number, one in enumerate(of) if one.type is type(message))])
 
 
-TARGETS: Final = (
-    Target(
-        "statements",
-        statements,
-        [chain_text(ANN.chain).encode(), *(one.text().encode() for one in SIGNED.values()), b"# nothing\n"],
-    ),
-    Target("shown", shown, [chain_text(ANN.chain).encode(), *(one.text().encode() for one in SIGNED.values())]),
-    Target("attachments", attachments, sorted({proven[2] for proven in PROVEN} | {STATE})),
-    Target("requests", requests, sorted(_request(*proven) for proven in PROVEN)),
-    Target(
-        "replies",
-        replies,
-        [
-            bytes([len(attachment)]) + attachment + payload
-            for attachment, payload in ((MEETING.attachment, MEETING.payload), (STATE, b"state"))
-        ],
-    ),
-    Target(
-        "payloads",
-        payloads,
-        [
-            *(bytes([number, 0x80]) for number in range(len(KINDS))),
-            *(_place(one, ALL_SUBJECTS) + codec.encode(one) for one in MESSAGES),
-            bytes([KINDS.index(BY_VERB["drive"])]) + DRIVE,
-        ],
-    ),
-    Target(
-        "key_expressions",
-        key_expressions,
-        [
-            *(key_of(subject.type).encode() for subject in SUBJECTS),
-            b"fleet/@recorder/depot/health",
-            b"fleet/cruiser-1/@cmd/ann/drive",
-            b"fleet/cruiser-1/gateway",
-        ],
-    ),
-    Target(
-        "candump_lines",
-        candump_lines,
-        [
-            b"(1436509052.249713) vcan0 18C4D1EF#0104000000000005",
-            b"(1436509052.249713) vcan0 123#R8",
-            b"(1436509052.249713) vcan0 123##1112233 T",
-            b"  vcan0  18C4D1EF   [8]  01 04 00 00 00 00 00 05",
-            b" (1436509052.249713)  vcan0  RX B -  18C4D1EF  [02]  01 04   '..'",
-        ],
-    ),
-    Target("logs", logs, [small_log(), own_log([gears(0, 3, 100), gears(3, 3, 200)]), foreign_log()]),
-    Target(
-        "orders",
-        orders,
-        [bytes([number]) + payload for number in range(len(RECORDER_COMMANDS)) for payload in ORDERS],
-    ),
-    Target(
-        "browsers",
-        browsers,
-        [
-            msgspec.msgpack.encode({"robot": ROBOT, "operator": "ann", **said})
-            for said in (
-                {"is": "ask", "number": 1, "verb": "acquire", "payload": b"\x80", "attachment": b""},
-                {"is": "drive", "payload": DRIVE, "attachment": bytes(25)},
-                {"is": "stop"},
-                {"is": "request"},
-                {"is": "answer", "asker": "bob", "granted": True},
-                {"is": "acknowledge", "word": "latched"},
-            )
-        ],
-    ),
-    Target("samples", samples, [_place(one, SAMPLED) + codec.encode(one) for one in MESSAGES]),
-)
+SEEDS: Final[dict[Callable[[bytes], None], Sequence[bytes]]] = {
+    statements: [
+        chain_text(ANN.chain).encode(),
+        *(one.text().encode() for one in SIGNED.values()),
+        b"# nothing\n",
+    ],
+    shown: [chain_text(ANN.chain).encode(), *(one.text().encode() for one in SIGNED.values())],
+    attachments: sorted({proven[2] for proven in PROVEN} | {STATE}),
+    requests: sorted(_request(*proven) for proven in PROVEN),
+    replies: [
+        bytes([len(attachment)]) + attachment + payload
+        for attachment, payload in ((MEETING.attachment, MEETING.payload), (STATE, b"state"))
+    ],
+    payloads: [
+        *(bytes([number, 0x80]) for number in range(len(KINDS))),
+        *(_place(one, ALL_SUBJECTS) + codec.encode(one) for one in MESSAGES),
+        bytes([KINDS.index(BY_VERB["drive"])]) + DRIVE,
+    ],
+    key_expressions: [
+        *(key_of(subject.type).encode() for subject in SUBJECTS),
+        b"fleet/@recorder/depot/health",
+        b"fleet/cruiser-1/@cmd/ann/drive",
+        b"fleet/cruiser-1/gateway",
+    ],
+    candump_lines: [
+        b"(1436509052.249713) vcan0 18C4D1EF#0104000000000005",
+        b"(1436509052.249713) vcan0 123#R8",
+        b"(1436509052.249713) vcan0 123##1112233 T",
+        b"  vcan0  18C4D1EF   [8]  01 04 00 00 00 00 00 05",
+        b" (1436509052.249713)  vcan0  RX B -  18C4D1EF  [02]  01 04   '..'",
+    ],
+    logs: [small_log(), own_log([gears(0, 3, 100), gears(3, 3, 200)]), foreign_log()],
+    orders: [bytes([number]) + payload for number in range(len(RECORDER_COMMANDS)) for payload in ORDERS],
+    browsers: [
+        msgspec.msgpack.encode({"robot": ROBOT, "operator": "ann", **said})
+        for said in (
+            {"is": "ask", "number": 1, "verb": "acquire", "payload": b"\x80", "attachment": b""},
+            {"is": "drive", "payload": DRIVE, "attachment": bytes(25)},
+            {"is": "stop"},
+            {"is": "request"},
+            {"is": "answer", "asker": "bob", "granted": True},
+            {"is": "acknowledge", "word": "latched"},
+        )
+    ],
+    samples: [_place(one, SAMPLED) + codec.encode(one) for one in MESSAGES],
+}
 """Everything that is fuzzed."""
+
+TARGETS: Final = [Target(run.__name__, run, seeds) for run, seeds in SEEDS.items()]
 
 BY_NAME: Final = {target.name: target for target in TARGETS}

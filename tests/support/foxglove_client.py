@@ -10,24 +10,17 @@ import ssl
 import struct
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeAlias
+from contextlib import ExitStack, suppress
+from typing import Any, NamedTuple, Self
 
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 SUBPROTOCOL = Subprotocol("foxglove.sdk.v1")
-
-MESSAGE_DATA = 1
-"""The opcode of a server's frame: subscription, log time, payload."""
-
 CLIENT_MESSAGE_DATA, SERVICE_CALL = 1, 2
 """Opcodes of a client's frames: what it publishes, and what it calls."""
 
 DEADLINE_S = 20.0
-
-Operation: TypeAlias = dict[str, Any]
 
 
 class Advertised(NamedTuple):
@@ -41,8 +34,6 @@ class Advertised(NamedTuple):
 
 
 class ViewerMessage(NamedTuple):
-    """A message, as it came."""
-
     topic: str
     log_ns: int
     data: bytes
@@ -56,25 +47,22 @@ class FoxgloveClient:
     """
 
     def __init__(self, url: str, trust: ssl.SSLContext | None = None) -> None:
-        self._connecting = connect(url, subprotocols=[SUBPROTOCOL], ssl=trust, max_size=None)
-        self._socket: ClientConnection
-        self.info: Operation = {}
+        self._stack = ExitStack()
+        self._socket = connect(url, subprotocols=[SUBPROTOCOL], ssl=trust, max_size=None)
+        self.info: dict[str, Any] = {}
         self.channels: dict[int, Advertised] = {}
         self.messages: list[ViewerMessage] = []
-        self.said: list[Operation] = []
+        self.said: list[dict[str, Any]] = []
         self._subscribed: dict[int, str] = {}
         self._wanted: Callable[[str], bool] = lambda _topic: False
 
     def __enter__(self) -> Self:
-        self._socket = self._connecting.__enter__()
-        self._wait(lambda: bool(self.said))
-        self.info = self.said.pop(0)
+        self._stack.enter_context(self._socket)
+        self.info = self.wait(lambda client: bool(client.said)).said.pop(0)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._connecting.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
 
     @property
     def topics(self) -> set[str]:
@@ -85,20 +73,23 @@ class FoxgloveClient:
         self._wanted = wanted
         self._subscribe(self.channels)
 
-    def send(self, operation: Operation) -> None:
-        """Send an operation."""
+    def send(self, operation: dict[str, Any]) -> None:
         self._socket.send(json.dumps(operation))
 
     def publish(self, channel_id: int, payload: bytes) -> None:
         self._socket.send(struct.pack("<BI", CLIENT_MESSAGE_DATA, channel_id) + payload)
 
     def call(self, service_id: int, payload: bytes) -> None:
-        encoding = b"json"
-        self._socket.send(struct.pack("<BIII", SERVICE_CALL, service_id, 1, len(encoding)) + encoding + payload)
+        self._socket.send(struct.pack("<BIII4s", SERVICE_CALL, service_id, 1, 4, b"json") + payload)
 
     def wait(self, is_there: Callable[["FoxgloveClient"], bool]) -> Self:
         """Receive until this holds."""
-        self._wait(lambda: is_there(self))
+        end_s = time.monotonic() + DEADLINE_S
+        while not is_there(self):
+            left_s = end_s - time.monotonic()
+            assert left_s > 0, (self.topics, len(self.messages), self.said)
+            with suppress(TimeoutError):
+                self._receive(left_s)
         return self
 
     def receive_for(self, span_s: float) -> None:
@@ -108,26 +99,27 @@ class FoxgloveClient:
             with suppress(TimeoutError):
                 self._receive(left_s)
 
-    def _wait(self, is_there: Callable[[], bool]) -> None:
-        end_s = time.monotonic() + DEADLINE_S
-        while not is_there():
-            left_s = end_s - time.monotonic()
-            assert left_s > 0, (self.topics, len(self.messages), self.said)
-            with suppress(TimeoutError):
-                self._receive(left_s)
-
     def _receive(self, timeout_s: float) -> None:
         frame = self._socket.recv(timeout_s)
         if isinstance(frame, bytes):
-            opcode, subscription, log_ns = struct.unpack_from("<BIQ", frame)
-            assert opcode == MESSAGE_DATA
+            # The one kind that a server sends: a message of a subscription.
+            _, subscription, log_ns = struct.unpack_from("<BIQ", frame)
             self.messages.append(ViewerMessage(self._subscribed[subscription], log_ns, frame[13:]))
             return
-        operation: Operation = json.loads(frame)
+        operation: dict[str, Any] = json.loads(frame)
         if operation["op"] != "advertise":
             self.said.append(operation)
             return
-        added = {one["id"]: _advertised(one) for one in operation["channels"]}
+        added = {
+            one["id"]: Advertised(
+                one["topic"],
+                one["encoding"],
+                one["schemaName"],
+                one["schemaEncoding"],
+                base64.b64decode(one["schema"]),
+            )
+            for one in operation["channels"]
+        }
         self.channels |= added
         self._subscribe(added)
 
@@ -136,13 +128,3 @@ class FoxgloveClient:
         self._subscribed |= new
         if new:
             self.send({"op": "subscribe", "subscriptions": [{"id": one, "channelId": one} for one in new]})
-
-
-def _advertised(channel: Operation) -> Advertised:
-    return Advertised(
-        channel["topic"],
-        channel["encoding"],
-        channel["schemaName"],
-        channel["schemaEncoding"],
-        base64.b64decode(channel["schema"]),
-    )

@@ -1,7 +1,8 @@
 """Many robots on one session, as little of each as a stop and a list need."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any, Self
 
 import msgspec
@@ -9,12 +10,13 @@ import zenoh
 
 from schemas import codec, keys
 from schemas.decisions import Reply
+from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.settings import ZenohSettings
 from schemas.subjects import BY_TYPE, BY_VERB
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
-from tests.support.messages import ROOT, STANDBY, STATE
+from tests.support.messages import HEALTH, ROOT, STANDBY, STATE
 
 STOP = BY_VERB["stop"]
 STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
@@ -27,6 +29,8 @@ PUBLISHED = (
 )
 """A robot that has heard the stop and stands."""
 PERIOD_S = 0.05
+ROUNDS = 40
+"""Different states, one after the other: two seconds, after which they come again."""
 
 
 class FakeFleet:
@@ -34,10 +38,11 @@ class FakeFleet:
 
     Attributes:
         publishes: each publishes 20 times a second that it is latched and stands; else nothing.
+        moves: or states that change, and once a second its health.
     """
 
-    def __init__(self, count: int, *, publishes: bool = False) -> None:
-        self.publishes = publishes
+    def __init__(self, count: int, *, publishes: bool = False, moves: bool = False) -> None:
+        self.publishes, self.moves = publishes or moves, moves
         self.listen = free_endpoint()
         self.names = [f"robot-{number:04}" for number in range(count)]
 
@@ -60,15 +65,19 @@ class FakeFleet:
         close_session(self._session)
 
     def _publish(self) -> None:
-        samples = [
-            (keys.build(ROOT, name, subject), codec.encode(message), subject.encoding)
-            for message in PUBLISHED
-            for subject in [BY_TYPE[type(message)]]
-            for name in self.names
-        ]
+        turns = count()
         while self.publishes and not self._closing.wait(PERIOD_S):
-            for key, payload, encoding in samples:
-                self._session.put(key, payload, encoding=encoding)
+            for message in _moving(next(turns) % ROUNDS) if self.moves else PUBLISHED:
+                subject, payload = BY_TYPE[type(message)], codec.encode(message)
+                for name in self.names:
+                    self._session.put(keys.build(ROOT, name, subject), payload, encoding=subject.encoding)
+
+
+def _moving(turn: int) -> Iterator[Message]:
+    yield msgspec.structs.replace(STATE, speed_mps=round(0.02 * turn, 3), sequence=turn)
+    yield msgspec.structs.replace(STANDBY, sequence=turn)
+    if turn * PERIOD_S % 1 == 0:
+        yield HEALTH
 
 
 def _stopping(name: str) -> Callable[[zenoh.Query], None]:

@@ -3,42 +3,10 @@
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final
 
 from playwright.sync_api import Page
-
-
-def let_go_of_the_pointer(page: Page) -> None:
-    page.mouse.up()
-
-
-def cancel_the_pointer(page: Page) -> None:
-    """The system takes the touch away, for a gesture of its own."""
-    page.locator(".pad").evaluate(
-        "pad => pad.dispatchEvent(new PointerEvent('pointercancel', {pointerId: 1, bubbles: true}))"
-    )
-
-
-def lose_the_capture(page: Page) -> None:
-    page.locator(".pad").evaluate("pad => pad.releasePointerCapture(1)")
-
-
-def lose_the_focus(page: Page) -> None:
-    page.evaluate("dispatchEvent(new Event('blur'))")
-
-
-def hide_the_page(page: Page) -> None:
-    page.evaluate("Object.defineProperty(document, 'hidden', {value: true})")
-    page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-
-
-def leave_for_the_overview(page: Page) -> None:
-    page.evaluate("location.hash = '#/'")
-
-
-def close_the_page(page: Page) -> None:
-    page.close()
 
 
 def shut_the_lid(page: Page) -> None:
@@ -54,19 +22,21 @@ def shut_the_lid(page: Page) -> None:
         os.kill(pid, signal.SIGCONT)
 
 
-def block_the_page(page: Page) -> None:
-    """A script of the page hangs for two seconds."""
-    page.evaluate("const end = performance.now() + 2000; while (performance.now() < end);")
-
-
-WAYS: Final[Sequence[Callable[[Page], None]]] = (
-    let_go_of_the_pointer,
-    cancel_the_pointer,
-    lose_the_capture,
-    lose_the_focus,
-    hide_the_page,
-    leave_for_the_overview,
-    close_the_page,
-    shut_the_lid,
-    block_the_page,
-)
+WAYS: Final[dict[str, Callable[[Page], object]]] = {
+    "let go of the pointer": lambda page: page.mouse.up(),
+    "a gesture of the system takes the touch away": lambda page: page.locator(".pad").evaluate(
+        "pad => pad.dispatchEvent(new PointerEvent('pointercancel', {pointerId: 1, bubbles: true}))"
+    ),
+    "lose the capture": lambda page: page.locator(".pad").evaluate("pad => pad.releasePointerCapture(1)"),
+    "lose the focus": lambda page: page.evaluate("dispatchEvent(new Event('blur'))"),
+    "hide the page": lambda page: page.evaluate(
+        "Object.defineProperty(document, 'hidden', {value: true});"
+        "document.dispatchEvent(new Event('visibilitychange'))"
+    ),
+    "leave for the overview": lambda page: page.evaluate("location.hash = '#/'"),
+    "close the page": lambda page: page.close(),
+    "shut the lid": shut_the_lid,
+    "a script blocks the page": lambda page: page.evaluate(
+        "const end = performance.now() + 2000; while (performance.now() < end);"
+    ),
+}

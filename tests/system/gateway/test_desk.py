@@ -7,7 +7,7 @@ import re
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import urlparse
@@ -34,7 +34,7 @@ from tests.support.processes.desk import (
     texts,
     wait_ready,
 )
-from tests.support.processes.letting_go import let_go_of_the_pointer, lose_the_focus, shut_the_lid
+from tests.support.processes.letting_go import WAYS
 from tests.support.provisioning import ProvisionedFleet
 from tests.support.provisioning import run as provision
 from tests.support.waiting import wait_until
@@ -99,16 +99,16 @@ def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserCo
 
 
 # All ways, each of them twenty times over, by night: tests/nightly/test_desk.py.
-@pytest.mark.parametrize("let_go", [let_go_of_the_pointer, by_night(shut_the_lid)], ids=lambda way: way.__name__)
+@pytest.mark.parametrize("way", ["let go of the pointer", by_night("shut the lid")])
 def test_whatever_takes_the_pointer_away_stops_the_robot(
-    scene: DeskScene, running_browser: Browser, let_go: Callable[[Page], None]
+    scene: DeskScene, running_browser: Browser, way: str
 ) -> None:
     """And nothing moves it again until somebody presses anew: the frames on the bus are the judge."""
     context = running_browser.new_context(locale="en-GB")
     try:
         page = open_robot(context, scene)
         drive(scene, page)
-        let_go(page)
+        WAYS[way](page)
         scene.wait_told_zero()
     finally:
         context.close()
@@ -124,7 +124,7 @@ def test_keys_drive_while_they_are_held(scene: DeskScene, context: BrowserContex
     page.keyboard.up("ArrowUp")
     scene.wait_told_zero()
     drive(scene, page, "w")
-    lose_the_focus(page)
+    WAYS["lose the focus"](page)
     for _ in range(20):
         page.keyboard.down("w")  # held on: it repeats
     scene.wait_told_zero()

@@ -4,6 +4,9 @@ Topics of others: protobuf by its descriptors, JSON as text, and what nobody her
 """
 
 import struct
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
 from typing import Any, cast
 
 import msgspec
@@ -20,15 +23,50 @@ from mcap import records
 from recorder.encoding.protobuf import LOGGED, message_class, schema_name
 from recorder.mcap.framing import MAGIC
 from recorder.mcap.writer import LogChannel
-from recorder.reading.logs import Faults
+from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Selection
-from recorder.reading.topics import topic_of
-from recorder.review.columns import columns_of
+from recorder.reading.topics import topic_of, typed_decoder
+from recorder.review.columns import Batch, ColumnReader, columns_of
+from recorder.review.export import values
 from schemas.messages import Gear, Message, RawSample
-from tests.support.columns import batches_of, fields_of, rows_of, typed_row
 from tests.support.logs import channel_of, encoded, numbered_log, small_log
 from tests.support.messages import WALL_NS, gear
 from tests.support.strategies import message_of
+
+
+def batches_of(data: bytes, faults: Faults | None = None, selection: Selection | None = None) -> list[Batch]:
+    stream = BytesIO(data)
+    taken = Faults() if faults is None else faults
+    reader = ColumnReader(stream, LogFile(Path("log"), len(data), 0, 0), selection or Selection(), taken)
+    found = list(reader.batches(lambda _: None))
+    if faults is None:
+        assert not taken, taken.told
+    return found
+
+
+def rows_of(batches: Sequence[Batch]) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    for batch in batches:
+        batch.rows.validate(full=True)
+        columns = [values(column) for column in batch.rows.columns]
+        rows += [dict(zip(batch.rows.schema.names, row, strict=True)) for row in zip(*columns, strict=True)]
+    return rows
+
+
+def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
+    """The same message by the protobuf package and the typed class, as JSON; the sequence is the record's."""
+    row: dict[str, Any] = msgspec.to_builtins(typed_decoder(kind)(data))
+    row.pop("sequence", None)
+    if kind.__name__ == "RecorderEvent":
+        row["message_robot"] = row.pop("robot")
+    if kind.__name__ == "GatewayInfo":
+        row["message_robot"] = row.pop("robot")
+    return row
+
+
+def fields_of(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name not in {"log_time", "publish_time", "sequence"}}
+
 
 KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
 
@@ -185,12 +223,12 @@ def expected(message: Any) -> dict[str, Any]:  # noqa: ANN401 - protobuf makes t
 @st.composite
 def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
     message = ALL()
-    for name, (_, values) in NUMBERS.items():
+    for name, (_, numbers) in NUMBERS.items():
         if draw(st.booleans()):
-            setattr(message, name, draw(values))
+            setattr(message, name, draw(numbers))
         if draw(st.booleans()):
-            setattr(message, f"opt_{name}", draw(values))
-        getattr(message, f"rep_{name}").extend(draw(st.lists(values, max_size=2)))
+            setattr(message, f"opt_{name}", draw(numbers))
+        getattr(message, f"rep_{name}").extend(draw(st.lists(numbers, max_size=2)))
     if draw(st.booleans()):
         message.stamp.seconds = draw(st.integers(-5, 5_000_000_000))
     return message
