@@ -54,20 +54,6 @@ def sequences(path: Path) -> list[int]:
     return [sequence for _, sequence, *_ in Read(path).messages]
 
 
-def test_a_log_is_a_part_until_it_is_whole(tmp_path: Path) -> None:
-    """Its name holds the robot and the start in UTC; the directory is made."""
-    directory = tmp_path / "deep" / "logs"
-    log = opened(directory)
-    log.write(chunk(1))
-    log.write(SyncLog("x"))
-    assert logs_in(directory) == [f"{STEM}.mcap.part"]
-    log.write(CloseLog("x"))
-    assert logs_in(directory) == [f"{STEM}.mcap"]
-    assert log.path == directory / f"{STEM}.mcap"
-    assert log.size == log.path.stat().st_size
-    assert sequences(log.path) == [1]
-
-
 def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The data at each sync; data, file and name at the end."""
     synced: list[str] = []

@@ -56,20 +56,15 @@ BEGIN: list[LogAction] = [
 
 
 class FaultyFile(FileIO):
-    """A file whose disk fails while ``error`` says so, waits, and takes no more than ``room`` of all files."""
+    """A file whose disk fails while ``error`` says so, and waits."""
 
     error = 0
-    written = 0
-    room = 10**9
     goes_on = threading.Event()
 
     def write(self, data: memoryview, /) -> int:  # type: ignore[override]  # the fewer types the clearer
         assert FaultyFile.goes_on.wait(30)
         if FaultyFile.error:
             raise OSError(FaultyFile.error, os.strerror(FaultyFile.error))
-        if FaultyFile.written + len(data) > FaultyFile.room:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        FaultyFile.written += len(data)
         return super().write(data)
 
 
@@ -79,8 +74,7 @@ def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "FileIO", FaultyFile)
     monkeypatch.setattr(log_writer, "RETRY_MIN_S", 0.01)
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
-    for knob, value in (("error", 0), ("written", 0), ("room", 10**9)):
-        monkeypatch.setattr(FaultyFile, knob, value)
+    monkeypatch.setattr(FaultyFile, "error", 0)
     FaultyFile.goes_on.set()
 
 
@@ -365,37 +359,6 @@ def test_a_fault_of_our_own_is_raised_where_the_loop_is(
     assert (all_sequences(tmp_path), writer.lost) == (kept, lost)
 
 
-def test_of_an_incident_whose_file_waits_too_the_loss_is_no_logs(tmp_path: Path) -> None:
-    """The log itself has what the incident lacks: it is not counted as lost."""
-    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
-    FaultyFile.error = errno.ENOSPC
-    writer.submit(on_log([*BEGIN, chunk(0)]))
-    wait_until(lambda: writer._is_faulty)
-    opening = OpenLog("x", "x", WALL_NS, is_incident=True)
-    writer.submit(on_log([opening, *BEGIN[1:], *(chunk(number) for number in range(1, 100))], "x!"))
-    FaultyFile.error = 0
-    writer.submit(on_log([CloseLog("x")], "x!"))
-    end(writer)
-    lost = [one for one in writer.notices() if isinstance(one, Lost)]
-    assert {one.log for one in lost} <= {"x"}
-    assert writer.lost == sum(one.counts[1] for one in lost) <= 1
-    assert sequences(tmp_path / f"{STEM}.incident.mcap")[-1] == 99
-
-
-def test_a_file_that_takes_no_channel_is_neither_left_nor_told(tmp_path: Path, writer: LogWriter) -> None:
-    """The header fits and what follows does not: who waits for an ended file does not wait for that one."""
-    writer.submit(on_log([*BEGIN, chunk(1)]))
-    wait_until(partial(is_written, writer))
-    FaultyFile.room = FaultyFile.written + 500
-    writer.submit(on_log([chunk(2, 5000)]))
-    wait_until(lambda: writer._pause_s > log_writer.RETRY_MIN_S)
-    FaultyFile.room = 10**9
-    end(writer)
-    told = [one for one in writer.notices() if isinstance(one, Opened | Ended)]
-    assert {one.file for one in told} == {name.removesuffix(".part") for name in logs_in(tmp_path)}
-    assert [type(one) for one in told] == [Opened, Ended] * (len(told) // 2)
-
-
 def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, writer: LogWriter) -> None:
     """Whether a file of the log is open or not; and with nothing of the incident before it."""
     writer.submit(on_log(BEGIN[1:], "y"))
@@ -515,30 +478,6 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
     writer.close()
     assert waited == [0] * 4
     assert all_sequences(tmp_path) == [0, 1, 2, 3]
-
-
-def test_at_the_end_what_the_disk_fails_to_keep_is_written_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter, disk: SlowDisk
-) -> None:
-    """Of each log, and of the file before the last one too."""
-    fails = iter([True] * 3)
-    write_end = files.PartFile._sync_all
-
-    def sync_all(file: files.PartFile) -> None:
-        disk.fails = next(fails, False)
-        write_end(file)
-
-    monkeypatch.setattr(files.PartFile, "_sync_all", sync_all)
-    with writer._changed:
-        writer._is_closing = True
-        for log in range(3):
-            opening = OpenLog(f"x{log}", f"x{log}", WALL_NS)
-            writer.submit(on_log([opening, BEGIN[-1], chunk(10 * log), CloseLog("x")], f"x{log}"))
-            writer.submit(on_log([opening, chunk(10 * log + 1), CloseLog("x")], f"x{log}"))
-    writer.close()
-    assert not writer.is_hung
-    assert all_sequences(tmp_path) == [0, 1, 10, 11, 20, 21]
-    assert writer.lost == 0
 
 
 def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: Path, writer: LogWriter) -> None:

@@ -140,20 +140,6 @@ def test_a_file_says_why_the_one_before_it_ended(bench: RecorderRig) -> None:
     assert metadata(third, CONTINUED_NAME) == [{"file": "3", "because": "full"}]
 
 
-def test_a_robot_that_turns_up_while_the_disk_is_full_has_no_file(bench: RecorderRig) -> None:
-    """What it declares is in the file that follows."""
-    bench.room(has_room=False)
-    assert bench.recorder.state is RecorderState.FULL
-    bench.receive(sample_of(gear(0)))
-    assert (bench.writer.files, bench.recorder.writing, bench.recorder.files) == ({}, set(), {})
-    bench.room()
-    bench.receive(sample_of(gear(1)))
-    assert bench.recorder.writing == {"cruiser-1"}
-    assert bench.recorder.files == {}
-    bench.notice()
-    assert bench.recorder.files == {"cruiser-1": "cruiser-1-0.mcap"}
-
-
 def test_after_the_end_nothing_is_asked_for(bench: RecorderRig) -> None:
     """Notices come after it, too; nobody would carry out what they cause."""
     bench.receive(sample_of(gear(0)))
@@ -268,16 +254,6 @@ def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
     assert bench.recorder.incidents == 1
     assert bench.recorder.counts["@more"].written == 50
     assert bench.recorder.counts[f"{EVENT_KEY}/{LOG_CHUNK}"].written == 1
-
-
-def test_a_pass_ends_when_its_time_is_over(bench: RecorderRig) -> None:
-    """What there was no time for is still there; at least one is recorded."""
-    for is_late, taken in ((lambda: False, 7), (lambda: True, 1)):
-        waiting = iter([FakeSample("fleet/cruiser-1/k", "x", b"")] * 7)
-        before = sum(count.received for count in bench.recorder.counts.values())
-        bench.writer.apply(bench.recorder.receive(waiting, 0, is_late))
-        assert sum(count.received for count in bench.recorder.counts.values()) - before == taken
-        assert len(list(waiting)) == 7 - taken
 
 
 def test_large_payloads_do_not_take_the_quick_way() -> None:

@@ -35,7 +35,7 @@ from tests.support.messages import (
     safety_event,
     sample_of,
 )
-from tests.support.rigs.recorder import GEAR_KEY, OTHERS, OWN, PLAN, RecorderRig, messages, metadata, times
+from tests.support.rigs.recorder import GEAR_KEY, OTHERS, OWN, PLAN, RecorderRig, messages, metadata
 
 
 class _Key:
@@ -239,21 +239,6 @@ Machine.TestCase.settings = settings(stateful_step_count=30, suppress_health_che
 
 
 TestRecording = Machine.TestCase
-
-
-def test_what_is_in_hand_at_the_end_is_accounted_for_too() -> None:
-    """A recorder that ends while the disk is full has lost the last messages as well, and says so."""
-    bench = RecorderRig()
-    bench.receive(sample_of(gear(0)))
-    bench.room(has_room=False)
-    bench.run(REPORT_LOSSES_NS)
-    bench.receive(sample_of(gear(1)))
-    bench.mark()
-    bench.close()
-    report = bench.recorder.counts[GEAR_KEY]
-    assert (report.written, report.lost_full) == (1, 1)
-    assert [(gap.key, gap.reason, gap.count) for gap in bench.gaps()] == [(GEAR_KEY, GapReason.FULL, 1)]
-    assert times(bench.writer.files["cruiser-1!"][0]) == [0, SECOND]
 
 
 def test_a_loss_is_told_in_the_log_that_it_is_about(bench: RecorderRig) -> None:

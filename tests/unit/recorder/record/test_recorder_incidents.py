@@ -36,34 +36,6 @@ from tests.support.rigs.recorder import GEAR_KEY, RecorderRig, messages, metadat
 BEFORE_NS = 10 * SECOND
 
 
-def test_the_next_incident_is_of_its_own(bench: RecorderRig) -> None:
-    """It says when and why it was, and nothing of the one before; each channel is declared once."""
-    bench.receive(sample_of(gear(0)))
-    bench.notice()
-    bench.mark(because="first")
-    bench.notice()
-    bench.run(3 * SECOND)
-    marked = bench.mark(because="second")
-    assert marked == {"cruiser-1!": ""}
-    bench.notice()
-    assert bench.mark() == {"cruiser-1!": "cruiser-1-1.incident.mcap"}
-    bench.close()
-    first, second = bench.writer.files["cruiser-1!"]
-    assert [one["because"] for one in metadata(first, INCIDENT_NAME)] == ["first"]
-    assert [one["because"] for one in metadata(second, INCIDENT_NAME)] == ["second"]
-    (log,) = bench.logs()["cruiser-1"]
-    named = metadata(log, INCIDENT_NAME)
-    assert [(one["because"], one["file"], one["at_ns"]) for one in named] == [
-        ("first", first.name, str(WALL_NS)),
-        ("second", second.name, str(WALL_NS + 3 * SECOND)),
-    ]
-    words = [event for event in bench.events() if event.kind is RecorderEventKind.INCIDENT]
-    assert [(event.robot, event.file) for event in words] == [
-        ("cruiser-1", first.name),
-        ("cruiser-1", second.name),
-    ]
-
-
 def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: RecorderRig) -> None:
     """However late the disk is: nobody is told the name of the wrong file."""
     bench.receive(sample_of(gear(0)))

@@ -5,14 +5,12 @@ import tracemalloc
 from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import partial
-from io import BytesIO
 from itertools import pairwise
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 
 from recorder.encoding.routes import FRAMES_MAX, FRAMES_MAX_BYTES
 from recorder.encoding.samples import ReceivedSample
@@ -268,19 +266,6 @@ def test_a_restarted_gateway_is_asked_again() -> None:
     log.receive(sample_of(gear(0)))
     assert Query(INFO_KEY) in log.ask(2 * SECOND)
     assert log.log.channels.counts[GEAR_KEY].lost_link == 0
-
-
-def test_missed_samples_are_counted_for_each_key() -> None:
-    """By the gaps in sequence, and told in the log's own metadata; answers to others' queries are no gaps."""
-    log = Log()
-    log.receive(*(sample_of(gear(number)) for number in (0, 1, 5)))
-    log.receive(sample_of(info(sequence=1)), sample_of(info(sequence=9)))
-    assert in_short(log.log.channels.counts[GEAR_KEY]) == (3, 3, 0)
-    data = log.close()
-    metadata = {one.name: one.metadata for one in make_reader(BytesIO(data)).iter_metadata()}
-    told = msgspec.json.decode(metadata["cruiser.completeness"][GEAR_KEY], type=KeyReport)
-    assert (told.sent, told.received, told.written, told.lost_link) == (6, 3, 3, 3)
-    assert log.log.channels.counts[INFO_KEY].lost_link == 0
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
