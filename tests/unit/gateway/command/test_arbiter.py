@@ -31,6 +31,8 @@ ENGAGE = {
     "the remote control has it": f"{INTO_AUTO}; see mode:remote; tick; = answered engage hand_transmitter",
     "a bumper is hit": f"{INTO_AUTO}; see front_bumper:true; tick; = answered engage front_bumper",
     "stopped in the same tick": "ready; see mode:stop; acquire; together engage + stop; = told 0, stopping",
+    "losses and stops of before it are none": "ready; see bus_losses:3 guard_stops:2; tick 60; acquire; reset; "
+    "engage; tick 3; = engaged",
     "no guard, where the settings accept that": "engaged unguarded:true; tick; = engaged",
 }
 
