@@ -21,12 +21,10 @@ from recorder.encoding.samples import ReceivedSample
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.loop import Recorded, RecorderLoop
 from recorder.record import orders
-from recorder.record.accounting import KeyReport
 from recorder.record.actions import Action, Deleted, DiskRoom, Notice
 from recorder.record.orders import OperatorRequest
 from recorder.record.recorder import HealthReport, Recorder, SampleInbox
 from recorder.record.robot_log import LogPlan
-from recorder.review.check import check_log
 from recorder.review.info import read_info
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear, Message, Variant
@@ -71,37 +69,6 @@ def fast_clock(monkeypatch: pytest.MonkeyPatch) -> None:
         process_time_ns=lambda: 10 * time.process_time_ns(),
     )
     monkeypatch.setattr(loop_module, "time", clock)
-
-
-def test_a_recording_ends_in_a_whole_file(tmp_path: Path) -> None:
-    """All samples are in it; the result says what and where."""
-    source = FakeSource(sample_of(gear(number)) for number in (0, 1, 2, 5))
-    recorded = record(source, tmp_path)
-    assert recorded.path is not None
-    assert recorded == Recorded(
-        path=str(next(tmp_path.glob("*.mcap"))),
-        files=1,
-        messages=4,
-        lost=2,
-        lost_link=2,
-        lost_queue=0,
-        lost_size=0,
-        lost_full=0,
-        lost_disk=0,
-        bytes=Path(recorded.path).stat().st_size,
-        channels=1,
-        incidents=0,
-        keys={key_of(Gear): KeyReport(sent=6, received=4, written=4, lost_link=2)},
-    )
-    found = check_log(Path(recorded.path))
-    assert found.whole
-    assert (found.messages, found.missed) == (4, 2)
-
-
-def test_without_samples_there_is_no_file(tmp_path: Path) -> None:
-    """Nothing is left of a recorder that waited in vain."""
-    assert record(FakeSource(), tmp_path) == Recorded(None, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, {})
-    assert logs_in(tmp_path) == []
 
 
 def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:

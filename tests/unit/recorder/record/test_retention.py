@@ -165,7 +165,15 @@ def ruling(text: str) -> Judgement:
 RULINGS = """
 the ended one is just enough              | a@1:300 a@2:600+              | 600/0    | a@1
 all of it together is just enough         | a@1:300 a@2:600+              | 0/900    | a@1 roll crowded
-without limits nothing goes               | a@1:1000000                   | 0/0      |
+without limits nothing goes               | a@1:1000000                   | 0/0 full |
+a budget that is used up is enough        | a@1:1000!                     | 1000/0   | crowded
+beyond it recording stops                 | a@1:1000!                     | 999/0    | full crowded
+and goes on with a part of it free        | a@1:1000!                     | 1020/0 full | crowded
+which keeps it from fluttering            | a@1:1000!                     | 1019/0 full | full crowded
+so it is with the floor                   | a@1:1000!                     | 0/1000@1000 |
+below it recording stops                  | a@1:1000!                     | 0/1000@999 | full
+and goes on well above it                 | a@1:1000!                     | 0/1000@1020 full |
+and no sooner                             | a@1:1000!                     | 0/1000@1019 full | full
 who takes most gives, others being older  | q@0:50 q@1:50 l@10:300 l@11:300 l@12:300 | 500/0 | l@10 l@11
 an open file counts in a robot's share    | q@0:300 l@10:100 l@11:500+    | 850/0    | l@10
 a stranger's open file is ended first     | c@0:300 c@1:100+ s@10:600+    | 900/0:c/7200 | roll
@@ -198,9 +206,13 @@ ROWS = [[part.strip() for part in row.split("|")] for row in RULINGS.strip().spl
 
 @pytest.mark.parametrize(("logs", "limits", "expected"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
 def test_what_goes_and_whether_there_is_room(logs: str, limits: str, expected: str) -> None:
-    """A row each: the logs that there are, the limits with what is free beyond the "@", the ruling."""
+    """A row each: the logs that there are, the limits with what is free beyond the "@", the ruling.
+
+    Behind "full" recording had stopped: to go on takes more room than not to stop, or a byte would begin a file.
+    """
+    limits, _, is_full = limits.partition(" ")
     limits, _, free = limits.partition("@")
-    found = judge(logs_of(logs), int(free or 0) * SCALE, limits_of(limits), is_full=limits == "0/0")
+    found = judge(logs_of(logs), int(free or 0) * SCALE, limits_of(limits), is_full=bool(is_full))
     assert found == ruling(expected)
 
 
@@ -223,30 +235,6 @@ def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts:
     own = [LogEntry(start, 100 * SCALE, start, robot="c") for start in starts]
     judgement = judge([*own, log("s@0:50")], 0, limits_of("150/0:c/3600"), is_full=False)
     assert judgement.delete == starts[:1]
-
-
-@pytest.mark.parametrize(
-    ("limits", "free_bytes", "is_full", "has_room"),
-    [
-        (DiskLimits(1000, 0), 0, False, True),
-        (DiskLimits(999, 0), 0, False, False),
-        (DiskLimits(1019, 0), 0, True, False),
-        (DiskLimits(1020, 0), 0, True, True),
-        (DiskLimits(0, 1000), 1000, False, True),
-        (DiskLimits(0, 1000), 999, False, False),
-        (DiskLimits(0, 1000), 1019, True, False),
-        (DiskLimits(0, 1000), 1020, True, True),
-    ],
-)
-def test_to_go_on_takes_more_room_than_not_to_stop(
-    limits: DiskLimits,
-    free_bytes: int,
-    is_full: bool,  # noqa: FBT001 - pytest gives it
-    has_room: bool,  # noqa: FBT001 - pytest gives it
-) -> None:
-    """Else every byte that somebody frees would begin a file."""
-    entries = [LogEntry("1", 1000, "1", is_incident=True)]
-    assert judge(entries, free_bytes, limits, is_full=is_full).has_room == has_room
 
 
 def bytes_of(robot: str, entries: list[LogEntry]) -> int:
