@@ -43,17 +43,12 @@ COUNTER: Final = "_total"
 
 
 class Measure(msgspec.Struct, frozen=True):
-    """One metric of a message.
+    """One metric of a message."""
 
-    Attributes:
-        name: as PromQL has it.
-        label: besides those that say of whom it is; empty if there is none.
-    """
-
-    name: str
+    name: str  # as PromQL has it
     field: str
     about: str
-    label: str
+    label: str  # besides those that say of whom it is; empty if there is none
     divisor: float
 
     @property

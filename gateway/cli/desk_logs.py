@@ -40,16 +40,11 @@ END_S: Final = 5.0  # time to end in, once it is told to
 
 
 class JobDone(msgspec.Struct, frozen=True):
-    """A process that has ended.
+    """A process that has ended."""
 
-    Attributes:
-        code: its exit code; None if it was given up, or could not be started.
-        fault: the end of its stderr, or the reason that there is no answer.
-    """
-
-    code: int | None
+    code: int | None  # its exit code; None if it was given up, or could not be started
     output: bytes
-    fault: str
+    fault: str  # the end of its stderr, or the reason that there is no answer
 
 
 class JobsBusyError(Exception):
@@ -102,7 +97,7 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
     reading = asyncio.gather(_read(process.stdout, SAID_BYTES), _read(process.stderr, SAID_BYTES))
     try:
         output, said = await asyncio.wait_for(asyncio.shield(reading), seconds)
-        fault = said.decode("utf-8", "replace").strip()[-1000:]
+        fault = said.decode("utf-8", "replace").strip()[-10_000:]
         code = await process.wait()
         if code < 0:
             return JobDone(None, b"", f"no answer: the process was ended by signal {-code}")
@@ -151,7 +146,7 @@ FIND_S: Final = 600.0
 
 ANSWERS: Final = 100  # answers to a search, the newest
 LISTED: Final = 20  # logs that are named without a catalog
-TEXT_MAX: Final = 300  # the longest word of a search
+TEXT_MAX: Final = 300  # the longest word of a search, and the longest line that says what is wrong with it
 Answer = Callable[[Request], Awaitable[Response]]
 
 FLAGS: Final = ("robot", "reason", "operator", "since", "until")
@@ -164,15 +159,11 @@ EXPOSED: Final = ("Accept-Ranges", "Content-Length", "Content-Range", "ETag", "L
 
 
 class Viewer(msgspec.Struct, frozen=True):
-    """A program in the browser that opens a log by its address.
-
-    Attributes:
-        origin: of its pages, as browsers say it.
-    """
+    """A program in the browser that opens a log by its address."""
 
     url: str
     name: str
-    origin: str
+    origin: str  # of its pages, as browsers say it
 
 
 def viewer(text: str) -> Viewer:
@@ -374,7 +365,7 @@ def _ended_with_the_desk(answer: Answer) -> Answer:
 
 
 def _last_line(text: str) -> str:
-    return text.rpartition("\n")[2]
+    return text.rpartition("\n")[2][:TEXT_MAX]
 
 
 def _readable_directory(directory: str) -> Path:

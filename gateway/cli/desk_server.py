@@ -260,13 +260,9 @@ class _Line:
 
 
 class _Connection(asyncio.BufferedProtocol):
-    """One connection: what it says waits here, and goes on to the server's protocol in portions.
+    """One connection: what it says waits here, and goes on to the server's protocol in portions."""
 
-    Attributes:
-        inner: the server's protocol: of HTTP, and after it of a WebSocket.
-    """
-
-    inner: asyncio.Protocol
+    inner: asyncio.Protocol  # the server's protocol: of HTTP, and after it of a WebSocket
 
     def __init__(self, door: Door, peer: str, taken: socket.socket, loop: asyncio.AbstractEventLoop) -> None:
         self.peer = peer

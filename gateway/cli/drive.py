@@ -212,18 +212,14 @@ def _character(code: int) -> str:
 
 
 class Cockpit(msgspec.Struct, frozen=True):
-    """All that is shown.
-
-    Attributes:
-        wish: the motion that the held key asks for.
-    """
+    """All that is shown."""
 
     robot: str
     lease: int
     sighting: Sighting
     speed_mps: float
     angle_deg: float
-    wish: Wish
+    wish: Wish  # the motion that the held key asks for
     message: str
 
 

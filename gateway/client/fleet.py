@@ -58,16 +58,11 @@ def read_reply(command: Command, received: Received) -> Reply | PayloadFault:
 
 
 class SampleRead(msgspec.Struct, frozen=True, gc=False):
-    """A sample of a robot or a recorder.
-
-    Attributes:
-        message: what it says, or why that cannot be read.
-        unknown: what in it a newer version says and this one does not know.
-    """
+    """A sample of a robot or a recorder."""
 
     parts: keys.KeyParts
-    message: Message | PayloadFault
-    unknown: tuple[str, ...] = ()
+    message: Message | PayloadFault  # what it says, or why that cannot be read
+    unknown: tuple[str, ...] = ()  # what in it a newer version says and this one does not know
 
 
 def read_sample(received: Received) -> SampleRead | None:
@@ -127,20 +122,13 @@ M = TypeVar("M", bound=Message)
 
 
 class Bounds(msgspec.Struct, frozen=True):
-    """Limits of what is stored of a fleet. Any client can publish any number of names, and samples of any size.
+    """Limits of what is stored of a fleet. Any client can publish any number of names, and samples of any size."""
 
-    Attributes:
-        robots, recorders: at most so many; those that came first stay.
-        name_length: a longer name counts as one too many.
-        sample_bytes: a larger sample is ignored.
-        forgotten_ns: a robot that is silent for so long, and has no token, may be forgotten.
-    """
-
-    robots: int = 10_000
+    robots: int = 10_000  # robots, recorders: at most so many; those that came first stay
     recorders: int = 0
-    name_length: int = keys.KEY_MAX_LENGTH
-    sample_bytes: int = 1 << 20
-    forgotten_ns: int = 60_000_000_000
+    name_length: int = keys.KEY_MAX_LENGTH  # a longer name counts as one too many
+    sample_bytes: int = 1 << 20  # a larger sample is ignored
+    forgotten_ns: int = 60_000_000_000  # a robot that is silent for so long, and has no token, may be forgotten
 
 
 class RobotStatus(msgspec.Struct, frozen=True):

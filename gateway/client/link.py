@@ -86,15 +86,11 @@ class SetPoint(msgspec.Struct, frozen=True):
 
 
 class DriveEnd(msgspec.Struct, frozen=True):
-    """The reason why the robot no longer accepts drive commands.
-
-    Attributes:
-        lease_lost: the lease is gone too; else the robot can be engaged again.
-    """
+    """The reason why the robot no longer accepts drive commands."""
 
     reason: Reason
     detail: str = ""
-    lease_lost: bool = False
+    lease_lost: bool = False  # the lease is gone too; else the robot can be engaged again
 
 
 class DriveStream:

@@ -43,20 +43,14 @@ class BrowserLook(_Said, frozen=True):
 
 
 class BrowserAsk(_Said, frozen=True):
-    """Put a verb to a robot, as a query. The bytes go out as they are: what is signed stays signed.
+    """Put a verb to a robot, as a query. The bytes go out as they are: what is signed stays signed."""
 
-    Attributes:
-        number: comes back with the replies.
-        payload: the request's MessagePack.
-        attachment: its proof; empty in open mode.
-    """
-
-    number: _Number
+    number: _Number  # comes back with the replies
     robot: _Robot
     operator: _Operator
     verb: Annotated[str, Meta(max_length=32)]
-    payload: _Payload
-    attachment: _Attachment
+    payload: _Payload  # the request's MessagePack
+    attachment: _Attachment  # its proof; empty in open mode
 
 
 class BrowserDrive(_Said, frozen=True):
@@ -69,42 +63,27 @@ class BrowserDrive(_Said, frozen=True):
 
 
 class BrowserShow(_Said, frozen=True):
-    """Show a robot a statement of the authority.
+    """Show a robot a statement of the authority."""
 
-    Attributes:
-        number: comes back with the replies.
-        statement: text.
-        question: random bytes, which the robot's reply is signed over.
-    """
-
-    number: _Number
+    number: _Number  # comes back with the replies
     robot: _Robot
-    statement: _Statement
-    question: _Attachment
+    statement: _Statement  # text
+    question: _Attachment  # random bytes, which the robot's reply is signed over
 
 
 class BrowserStop(_Said, frozen=True):
-    """The remote stop of a robot, or of all where it is empty. Needs no proof.
-
-    Attributes:
-        operator: who stops.
-    """
+    """The remote stop of a robot, or of all where it is empty. Needs no proof."""
 
     robot: _RobotOrNone
-    operator: _Operator
+    operator: _Operator  # who stops
 
 
 class BrowserAcknowledge(_Said, frozen=True):
-    """Say that somebody sees to what a robot suffers.
-
-    Attributes:
-        word: what it suffers, as its row says.
-        operator: who sees to it.
-    """
+    """Say that somebody sees to what a robot suffers."""
 
     robot: _Robot
-    word: Annotated[str, Meta(max_length=32)]
-    operator: _Operator
+    word: Annotated[str, Meta(max_length=32)]  # what it suffers, as its row says
+    operator: _Operator  # who sees to it
 
 
 FromBrowser = BrowserLook | BrowserAsk | BrowserDrive | BrowserShow | BrowserStop | BrowserAcknowledge
@@ -137,48 +116,29 @@ class DeskHello(_Told, frozen=True):
 
 
 class DeskRows(_Told, frozen=True):
-    """The overview's rows that have changed; one that is null has gone.
-
-    Attributes:
-        linked: the desk is connected to Zenoh.
-        recorders: all recorders that are heard, where that has changed.
-        full: there are more robots, or recorders, than the desk shows.
-    """
+    """The overview's rows that have changed; one that is null has gone."""
 
     rows: dict[str, RobotRow | None]
-    linked: bool
-    recorders: list[RecorderRow] | None = None
-    full: bool = False
+    linked: bool  # the desk is connected to Zenoh
+    recorders: list[RecorderRow] | None = None  # all recorders that are heard, where that has changed
+    full: bool = False  # there are more robots, or recorders, than the desk shows
 
 
 class RobotRow(msgspec.Struct, frozen=True):
-    """A robot in the overview.
+    """A robot in the overview."""
 
-    Attributes:
-        level: 0 nothing is wrong, 1 somebody should look, 2 it needs a person.
-        word: what it does or suffers, one of the words of ``robot_word.WORDS``.
-        text: the same with figures, in English.
-        driver: who holds its lease; empty if nobody does.
-        speed_mps, limit_mps: measured, and the limit in force; null if not known.
-        link_age_s: age of the drive commands that it obeys; null where it obeys none.
-        lost: feedback frames that were lost since its gateway's start; null if not known.
-        event: the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock.
-        acknowledged: who sees to what it suffers; empty if nobody does.
-        reasons: why it has this word, for pages in other languages; empty where nothing is wrong.
-    """
-
-    level: int
-    word: str
-    text: str
-    driver: str
-    speed_mps: float | None
+    level: int  # 0 nothing is wrong, 1 somebody should look, 2 it needs a person
+    word: str  # what it does or suffers, one of the words of ``robot_word.WORDS``.
+    text: str  # the same with figures, in English
+    driver: str  # who holds its lease; empty if nobody does
+    speed_mps: float | None  # speed_mps, limit_mps: measured, and the limit in force; null if not known
     limit_mps: float | None
-    link_age_s: float | None
-    lost: int | None
-    event: str
+    link_age_s: float | None  # age of the drive commands that it obeys; null where it obeys none
+    lost: int | None  # feedback frames that were lost since its gateway's start; null if not known
+    event: str  # the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock
     event_ns: int
-    acknowledged: str = ""
-    reasons: list[str] = []
+    acknowledged: str = ""  # who sees to what it suffers; empty if nobody does
+    reasons: list[str] = []  # why it has this word, for pages in other languages; empty where nothing is wrong
 
 
 class RecorderRow(msgspec.Struct, frozen=True):
@@ -202,31 +162,20 @@ class DeskSample(_Told, frozen=True):
 
 
 class DeskWhy(_Told, frozen=True):
-    """The reasons for which the robot that is shown closely does not move, in the words of ``cruiser why``.
-
-    Attributes:
-        reasons: each with its meaning and its cure.
-        notes: what else should be seen to.
-        since_s: for so long the desk has seen the robot's word.
-    """
+    """The reasons for which the robot that is shown closely does not move, in the words of ``cruiser why``."""
 
     robot: str
-    reasons: list[tuple[str, str, str]]
-    notes: list[str]
-    since_s: float
+    reasons: list[tuple[str, str, str]]  # each with its meaning and its cure
+    notes: list[str]  # what else should be seen to
+    since_s: float  # for so long the desk has seen the robot's word
 
 
 class DeskHistory(_Told, frozen=True):
-    """The last minutes of the robot that is shown closely, one point each ``period_s``; null where not known.
-
-    Attributes:
-        age_s: of the newest point.
-        values: of each field of ``history.FIELDS``, the oldest first.
-    """
+    """The last minutes of the robot that is shown closely, one point each ``period_s``; null where not known."""
 
     robot: str
-    age_s: float
-    values: dict[str, list[float | None]]
+    age_s: float  # of the newest point
+    values: dict[str, list[float | None]]  # of each field of ``history.FIELDS``, the oldest first.
 
 
 class DeskPose(_Told, frozen=True):

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from gateway.cli.child import CRUISER
+from gateway.cli.demo import CRUISER
 from tests.support.processes.gateway import run
 
 TIMEOUT_S = 400

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.child import fresh
+from gateway.cli.demo import fresh
 from schemas.command_line import CommandError
 
 

@@ -2,7 +2,9 @@
 
 import asyncio
 import threading
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
+from functools import wraps
 from typing import Any
 
 import msgspec
@@ -53,6 +55,14 @@ class Scene:
 
     def say(self, browser: Browser, **message: object) -> None:
         self.hub.receive(browser, msgspec.msgpack.encode(message))
+
+
+def in_a_loop(test: Callable[[], Coroutine[Any, Any, None]]) -> Callable[[], None]:
+    @wraps(test)
+    def run() -> None:
+        asyncio.run(asyncio.wait_for(test(), 60))
+
+    return run
 
 
 def told(browser: Browser, kind: type) -> list[Any]:
@@ -168,91 +178,64 @@ def test_what_cannot_be_done_is_said() -> None:
     assert len(told(browser, words.DeskRefused)) == 2
 
 
-def test_a_stop_goes_out_at_once_and_its_outcome_is_told() -> None:
-    """On the session that is open, without a proof; then each robot with what is known of it."""
-
-    async def scenario() -> None:
-        scene = Scene()
-        browser = scene.hub.join()
-        scene.say(browser, **{"is": "stop", "robot": "", "operator": "ann"})
-        assert scene.port.puts == [("fleet/*/@cmd/ann/stop", "stop", b"", b"")]
-        browser.ready.clear()
-        await asyncio.wait_for(browser.ready.wait(), 30)
-        (outcome,) = told(browser, words.DeskStopped)
-        assert scene.stops == [("*", "ann")]
-        assert (outcome.standing, outcome.silent) == (["cruiser-1"], ["cruiser-3"])
-        assert outcome.unconfirmed == {"cruiser-2": "its speed is not seen"}
-
-    asyncio.run(scenario())
-
-
-def test_a_stop_that_fails_is_never_silent() -> None:
+@in_a_loop
+async def test_a_stop_that_fails_is_never_silent() -> None:
     """Whatever goes wrong while its outcome is looked for."""
+    scene = Scene()
 
-    async def scenario() -> None:
-        scene = Scene()
+    def fail(*_: object) -> StopReport:
+        raise OSError("no file descriptors")
 
-        def fail(*_: object) -> StopReport:
-            raise OSError("no file descriptors")
-
-        scene.hub._stopper = fail
-        browser = scene.hub.join()
-        browser.outbox.take()
-        scene.say(browser, **{"is": "stop", "robot": "cruiser-1", "operator": "ann"})
-        browser.ready.clear()
-        await asyncio.wait_for(browser.ready.wait(), 30)
-        (refused,) = told(browser, words.DeskRefused)
-        assert "no file descriptors" in refused.fault
-
-    asyncio.run(scenario())
+    scene.hub._stopper = fail
+    browser = scene.hub.join()
+    browser.outbox.take()
+    scene.say(browser, **{"is": "stop", "robot": "cruiser-1", "operator": "ann"})
+    browser.ready.clear()
+    await asyncio.wait_for(browser.ready.wait(), 30)
+    (refused,) = told(browser, words.DeskRefused)
+    assert "no file descriptors" in refused.fault
 
 
-def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
-    """Each says it at once; one thread looks what comes of it, however often and by however many it is said."""
+@in_a_loop
+async def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
+    """Each says it at once, without a proof; one thread looks what comes of it, however often it is said."""
+    scene = Scene()
+    hold = threading.Event()
 
-    async def scenario() -> None:
-        scene = Scene()
-        hold = threading.Event()
+    def wait(*arguments: Any) -> StopReport:  # noqa: ANN401 - the stopper's own
+        hold.wait(30)
+        return scene.stop(*arguments)
 
-        def wait(*arguments: Any) -> StopReport:  # noqa: ANN401 - the stopper's own
-            hold.wait(30)
-            return scene.stop(*arguments)
-
-        scene.hub._stopper = wait
-        ann, bob = scene.hub.join(), scene.hub.join()
-        for browser, operator in ((ann, "ann"), (bob, "bob"), (ann, "ann")):
-            scene.say(browser, **{"is": "stop", "robot": "", "operator": operator})
-        assert [key for key, *_ in scene.port.puts] == [
-            f"fleet/*/@cmd/{one}/stop" for one in ("ann", "bob", "ann")
-        ]
-        hold.set()
-        for browser in (ann, bob):
-            while not (outcome := told(browser, words.DeskStopped)):
-                browser.ready.clear()
-                await asyncio.wait_for(browser.ready.wait(), 30)
-            assert [one.standing for one in outcome] == [["cruiser-1"]]
-        assert scene.stops == [("*", "ann")]
-
-    asyncio.run(scenario())
+    scene.hub._stopper = wait
+    ann, bob = scene.hub.join(), scene.hub.join()
+    for browser, operator in ((ann, "ann"), (bob, "bob"), (ann, "ann")):
+        scene.say(browser, **{"is": "stop", "robot": "", "operator": operator})
+    assert [key for key, *_ in scene.port.puts] == [f"fleet/*/@cmd/{one}/stop" for one in ("ann", "bob", "ann")]
+    hold.set()
+    for browser in (ann, bob):
+        while not (outcome := told(browser, words.DeskStopped)):
+            browser.ready.clear()
+            await asyncio.wait_for(browser.ready.wait(), 30)
+        (known,) = outcome
+        assert (known.standing, known.silent) == (["cruiser-1"], ["cruiser-3"])
+        assert known.unconfirmed == {"cruiser-2": "its speed is not seen"}
+    assert scene.stops == [("*", "ann")]
 
 
-def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() -> None:
+@in_a_loop
+async def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() -> None:
     """All are stopped; of those beyond the bound it is said that nobody looks what came of it."""
-
-    async def scenario() -> None:
-        scene = Scene()
-        hold = threading.Event()
-        scene.hub._stopper = lambda *_: StopReport([], {}, {}, [], linked=hold.wait(30))
-        browser = scene.hub.join()
-        try:
-            for number in range(STOPS_MAX + 1):
-                scene.say(browser, **{"is": "stop", "robot": f"cruiser-{number}", "operator": "ann"})
-            assert len(scene.port.puts) == STOPS_MAX + 1
-            assert [one.stop for one in told(browser, words.DeskRefused)] == [f"cruiser-{STOPS_MAX}"]
-        finally:
-            hold.set()
-
-    asyncio.run(scenario())
+    scene = Scene()
+    hold = threading.Event()
+    scene.hub._stopper = lambda *_: StopReport([], {}, {}, [], linked=hold.wait(30))
+    browser = scene.hub.join()
+    try:
+        for number in range(STOPS_MAX + 1):
+            scene.say(browser, **{"is": "stop", "robot": f"cruiser-{number}", "operator": "ann"})
+        assert len(scene.port.puts) == STOPS_MAX + 1
+        assert [one.stop for one in told(browser, words.DeskRefused)] == [f"cruiser-{STOPS_MAX}"]
+    finally:
+        hold.set()
 
 
 def test_the_last_minutes_are_put_together_seldom() -> None:
@@ -376,22 +359,19 @@ class FakeSocket:
             self.closed.set_result(code)
 
 
-def test_a_browser_that_cannot_be_sent_a_message_is_cut_off() -> None:
+@in_a_loop
+async def test_a_browser_that_cannot_be_sent_a_message_is_cut_off() -> None:
     """So that its page says so: it would show what was for what is, and for ever."""
-
-    async def scenario() -> None:
-        hub = Scene().hub
-        socket = FakeSocket()
-        serving = asyncio.create_task(_serve(socket, hub))  # type: ignore[arg-type]
-        while not hub._browsers:  # noqa: ASYNC110 - nobody tells
-            await asyncio.sleep(0)
-        (browser,) = hub._browsers
-        browser.tell(words.DeskReply(2**70, last=True))
-        assert await socket.closed == FAILED
-        await serving
-        assert not hub._browsers
-
-    asyncio.run(asyncio.wait_for(scenario(), 30))
+    hub = Scene().hub
+    socket = FakeSocket()
+    serving = asyncio.create_task(_serve(socket, hub))  # type: ignore[arg-type]
+    while not hub._browsers:  # noqa: ASYNC110 - nobody tells
+        await asyncio.sleep(0)
+    (browser,) = hub._browsers
+    browser.tell(words.DeskReply(2**70, last=True))
+    assert await socket.closed == FAILED
+    await serving
+    assert not hub._browsers
 
 
 @given(st.binary(max_size=200))
