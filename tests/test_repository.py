@@ -68,7 +68,9 @@ def test_a_broken_link_would_be_found(tmp_path: Path) -> None:
 def test_every_test_that_a_page_names_exists(page: Path) -> None:
     """A line that nothing holds would be a claim."""
     for path, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", prose(page)):
-        assert re.search(rf"^(async )?def {test}\(", (ROOT / path).read_text("utf-8"), re.M), f"{path}::{test}"
+        assert re.search(rf"^(async )?def {test}\(", (ROOT / path).read_text("utf-8"), re.MULTILINE), (
+            f"{path}::{test}"
+        )
 
 
 @pages
