@@ -167,11 +167,3 @@ def test_an_answer_without_an_end_fills_no_memory() -> None:
 
         assert asyncio.run(read_back()) > 1000
     assert sum(sent) < MUCH_BYTES
-
-
-def test_nobody_is_there() -> None:
-    """The line says where to look."""
-    with served() as (objects, _):
-        pass
-    with pytest.raises(StoreError, match="is the store's endpoint right"):
-        objects.look("a.mcap")

@@ -196,14 +196,6 @@ def test_without_its_package_it_says_what_to_install(monkeypatch: pytest.MonkeyP
         run_command(view)
 
 
-def test_people_may_subscribe_to_what_it_subscribes_to() -> None:
-    """One subject at a time: routers let people have no ``**`` (docs/authority.md)."""
-    asked = view.expressions("fleet", ["cruiser-1", "cruiser-2"])
-    assert {"fleet/cruiser-1/state", "fleet/cruiser-2/can/*/rx", "fleet/cruiser-1/journal"} < set(asked)
-    assert not [one for one in asked if "**" in one or "@" in one or one.endswith("gateway/info")]
-    assert "fleet/*/safety/event" in view.expressions("fleet", [])
-
-
 def test_a_viewers_certificate_suffices(tmp_path: Path) -> None:
     """Through a router with access by role: it sees a robot, and the robot says who it is."""
     network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))

@@ -7,7 +7,7 @@ import pytest
 
 from recorder.cli import upload as command
 from recorder.disk.files import SafeLogReader
-from recorder.review.catalog.log_row import read_row, write_row
+from recorder.review.catalog.log_row import write_row
 from recorder.upload.finished import ROW_SUFFIX, Summarize
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RecorderSettings, Settings, UploadSettings
@@ -98,15 +98,6 @@ def test_without_a_directory_there_is_nothing_to_upload(tmp_path: Path) -> None:
     """It makes none: the recorder does."""
     with pytest.raises(CommandError, match="is no directory"):
         run_command(command, "--once", settings=settings(tmp_path))
-
-
-def test_the_row_of_a_log_lies_beside_it_in_the_store(tmp_path: Path) -> None:
-    """It is what the catalog of a directory would hold."""
-    saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
-    assert run_command(command, "--once", settings=settings(tmp_path)) == ExitCode.OK
-    row = (tmp_path / "store/cruiser-1" / f"{LOG}{ROW_SUFFIX}").read_bytes()
-    found = read_row(row, (tmp_path / "logs" / LOG).stat().st_size)
-    assert (found.file, found.messages) == (LOG, 3)
 
 
 def test_without_rows_no_log_is_read_for_them(tmp_path: Path) -> None:
