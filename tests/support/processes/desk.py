@@ -1,11 +1,13 @@
 """A robot, a desk, and real browsers on it; somebody on the bus writes down what the chassis is told."""
 
 import os
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
 
@@ -15,12 +17,14 @@ from gateway.chassis.layout import Decoded, FrameDecoder
 from schemas.messages import Variant
 from schemas.settings import CanSettings
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.browser import browser
 from tests.support.processes.gateway import Running, chassis
 from tests.support.processes.guard import Burst, Listener
 from tests.support.waiting import wait_until
 
 ATTEMPTS = 5
+
+NAMES = ("chromium", "google-chrome")
+"""What a browser may be called. Another program is named by ``TEST_BROWSER``."""
 
 FLAGS = (
     "--disable-background-networking",
@@ -92,6 +96,15 @@ def desk_scene(*words: str, desk_words: Sequence[str] = (), routed: Path | None 
     """A robot and a desk; with a directory for its files, a router between them."""
     with ExitStack() as stack:
         yield DeskScene(stack, *words, desk_words=desk_words, routed=routed)
+
+
+def browser() -> str:
+    """Return its place; without one the test is skipped. Ubuntu's is a snap, which opens no file of a test."""
+    found = [os.environ.get("TEST_BROWSER", ""), *map(shutil.which, NAMES)]
+    for program in found:
+        if program and "/snap/" not in program:
+            return program
+    pytest.skip("no Chromium is here (Debian: chromium)")
 
 
 @contextmanager

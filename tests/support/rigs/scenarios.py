@@ -20,6 +20,8 @@ The first is the name of a scenario, ``ready`` (it stands) or ``driving [M/S] [S
 Moments count from the end, from ``mark``, or from the first event for a reason: ``from REASON``.
 """
 
+import re
+from collections.abc import Iterator
 from functools import cache
 from typing import Any, Final
 
@@ -55,116 +57,79 @@ class Scenario(msgspec.Struct, frozen=True):
         return Script(self.script).rig
 
 
-SCENARIOS: Final[dict[Scenario, tuple[Reason, tuple[str, ...]]]] = {
-    Scenario("front_bumper", "driving; fault bumper front on for 700ms; drive 0.6 0.3; rest"): (
-        Reason.FRONT_BUMPER,
-        ("0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01", "FrontBumper = 1", "said 0"),
-    ),
-    Scenario("rear_bumper", "driving; fault bumper rear on for 700ms; drive 0.6 0.3; rest"): (
-        Reason.REAR_BUMPER,
-        ("01 39 30 00 10", "RearBumper = 1"),
-    ),
-    Scenario("longer_deadman", "ready; engage 0.8; drive 0.6 1.5; run 1.5; rest"): (
-        Reason.DEADMAN,
-        ("810 ms before", "the limit is 800 ms (as engage asked for)"),
-    ),
-    Scenario("deadman", "driving; run 1; rest"): (
-        Reason.DEADMAN,
-        ("of operator-1", "310 ms before", "the limit is 300 ms", "No drive command at all"),
-    ),
-    Scenario("stale_commands", "driving; stale 80; rest"): (
-        Reason.DEADMAN,
-        ("15 drive requests", "1290 ms, at most 1000 ms", "seq 134, 1290 ms old"),
-    ),
-    Scenario("repeated_sequence", "driving; repeat 20; rest"): (
-        Reason.DEADMAN,
-        ("15 drive requests", "does not rise, or by too much; 6 after 69"),
-    ),
-    Scenario("lease_expired", "driving lease_s:0.5 deadman_s:0.5; run 1; rest"): (
-        Reason.LEASE_EXPIRED,
-        ("drive of operator-1, 500 ms before the stop", "a lease lasts 500 ms"),
-    ),
-    Scenario("lease_taken", "driving; taken operator-2; rest"): (Reason.LEASE_TAKEN, ("take, of operator-2",)),
-    Scenario("lease_released", "driving; says release; rest"): (
-        Reason.LEASE_RELEASED,
-        ("release, of operator-1",),
-    ),
-    Scenario("disengaged", "driving; says disengage; rest"): (Reason.DISENGAGED, ("disengage, of operator-1",)),
-    Scenario("remote_stop", "driving; stop; rest"): (Reason.REMOTE_STOP, ("stop, of desk",)),
-    Scenario("hand_transmitter", "driving; fault transmitter remote for 9s; drive 0.6 0.3; run 1"): (
-        Reason.HAND_TRANSMITTER,
-        ("Mode = remote", "the last one that did not, 20.0 ms"),
-    ),
-    Scenario("one_silent_frame", "driving; fault silence Auto_GearFeedBack for 500ms; drive 0.6 0.4; rest"): (
-        Reason.FEEDBACK_MISSING,
-        ("last good Auto_GearFeedBack came 110 ms before the stop", "the limit is 100 ms (its period is 10 ms)"),
-    ),
-    Scenario("slow_silent_frame", "driving; fault silence Auto_WheelSpdFeedback for 900ms; drive 0.6 0.8; rest"): (
-        Reason.FEEDBACK_MISSING,
-        ("last good Auto_WheelSpdFeedback came 510 ms", "the limit is 500 ms"),
-    ),
-    Scenario("checksums", "driving; fault checksum Auto_DriveFeedBack for 5 frames; drive 0.6 0.3; rest"): (
-        Reason.FEEDBACK_FAULTY,
-        ("last good Auto_DriveFeedBack", "5 of", "had a wrong checksum", "which should end with"),
-    ),
-    Scenario("stuck_counter", "driving; fault stuck Auto_SteeringFeedBack for 8 frames; drive 0.6 0.3; rest"): (
-        Reason.FEEDBACK_FAULTY,
-        ("last good Auto_SteeringFeedBack", "the last alive counters: "),
-    ),
-    Scenario("wrong_scale", "driving; fault scale wrong for 800ms; drive 0.6 0.5; rest"): (
-        Reason.IMPLAUSIBLE_SPEED,
-        ("Auto_DriveFeedBack said Speed = 21", "beyond 3"),
-    ),
-    Scenario("other_commander", "driving; fault foreign 18C4D3D0 every 10ms for 200ms; drive 0.6 0.3; rest"): (
-        Reason.OTHER_COMMANDER,
-        ("1 command frame that this gateway did not send", "0x18C4D3D0"),
-    ),
-    Scenario("bus_lost", "driving; links bus_up:0 bus_losses:1; blind; drive 0.6 1.2"): (
-        Reason.BUS_DOWN,
-        ("last frame was received 10.0 ms before the stop", "bus can0, bus up no"),
-    ),
-    Scenario("guard_lost", "driving; links guarded:0; drive 0.6 0.3; links; rest"): (
-        Reason.UNGUARDED,
-        (),
-    ),
-    Scenario("guard_acts", "driving; links guard_sends:1 guard_stops:1; drive 0.6 0.3"): (Reason.GUARD, ()),
-    Scenario("late_loop", "driving; tick_late 150; drive 0.6 0.1; rest"): (
-        Reason.LOOP_LATE,
-        ("tick lateness max ms 150",),
-    ),
-    Scenario("flooded", "driving; links is_behind:1; drive 0.6 0.1; links; rest"): (
-        Reason.FEEDBACK_LATE,
-        ("frames per s 630",),
-    ),
-    Scenario("full_bus", "driving; takes 2; drive 0.6 0.2; takes; rest"): (
-        Reason.SEND_FAILED,
-        ("5 ticks in a row", "2 to 2 of five frames went out"),
-    ),
-    Scenario("not_confirmed", "ready; deaf; take; ask engage; drive 0 1.2; rest"): (
-        Reason.NOT_CONFIRMED,
-        ("engage, of operator-1", "1.00 s before the stop", "Mode = stop"),
-    ),
-    Scenario("found_moving", "driving; links bus_up:0 bus_losses:1; run 0.1; links bus_losses:1; run 0.3; rest"): (
-        Reason.FOUND_MOVING,
-        ("the CAN bus is not there", "said 0.60 m/s"),
-    ),
-    Scenario("shut_down", "driving; shutdown; drive 0.6 0.1; rest"): (Reason.SHUTDOWN, ()),
-    Scenario("rolling", "ready; fault slope 8; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest"): (
-        Reason.ROLLING,
-        ("rear wheels turned at -0.", "commanded was 0.50 m/s"),
-    ),
-    Scenario("not_moving", "ready; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest"): (
-        Reason.NOT_MOVING,
-        ("drive feedback said 0.00 m/s, commanded was 0.50 m/s",),
-    ),
-    Scenario(
-        "frozen_mileage", "ready; engage; drive 0.6 1.3; fault freeze Auto_MileageAndBodyFeedback; on 0.6; rest"
-    ): (Reason.FEEDBACK_FROZEN, ("mileage read 12.345 km, and did not change over 3 m",)),
-    Scenario(
-        "stuck_steering", "ready; engage; drive 0.6 1.3; fault freeze Auto_SteeringFeedBack; on 0.6 15; rest"
-    ): (Reason.STEERING, ("read 0.0 deg, commanded was 1", "to 15.0 deg; over 5 deg beside")),
-}
-"""The reason that is to be named, and what the evidence has to say."""
+ROWS: Final = """\
+front_bumper front_bumper: driving; fault bumper front on for 700ms; drive 0.6 0.3; rest
+    0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01 | FrontBumper = 1 | said 0
+rear_bumper rear_bumper: driving; fault bumper rear on for 700ms; drive 0.6 0.3; rest
+    01 39 30 00 10 | RearBumper = 1
+longer_deadman deadman: ready; engage 0.8; drive 0.6 1.5; run 1.5; rest
+    810 ms before | the limit is 800 ms (as engage asked for)
+deadman deadman: driving; run 1; rest
+    of operator-1 | 310 ms before | the limit is 300 ms | No drive command at all
+stale_commands deadman: driving; stale 80; rest
+    15 drive requests | 1290 ms, at most 1000 ms | seq 134, 1290 ms old
+repeated_sequence deadman: driving; repeat 20; rest
+    15 drive requests | does not rise, or by too much; 6 after 69
+lease_expired lease_expired: driving lease_s:0.5 deadman_s:0.5; run 1; rest
+    drive of operator-1, 500 ms before the stop | a lease lasts 500 ms
+lease_taken lease_taken: driving; taken operator-2; rest
+    take, of operator-2
+lease_released lease_released: driving; says release; rest
+    release, of operator-1
+disengaged disengaged: driving; says disengage; rest
+    disengage, of operator-1
+remote_stop remote_stop: driving; stop; rest
+    stop, of desk
+hand_transmitter hand_transmitter: driving; fault transmitter remote for 9s; drive 0.6 0.3; run 1
+    Mode = remote | the last one that did not, 20.0 ms
+one_silent_frame feedback_missing: driving; fault silence Auto_GearFeedBack for 500ms; drive 0.6 0.4; rest
+    last good Auto_GearFeedBack came 110 ms before the stop | the limit is 100 ms (its period is 10 ms)
+slow_silent_frame feedback_missing: driving; fault silence Auto_WheelSpdFeedback for 900ms; drive 0.6 0.8; rest
+    last good Auto_WheelSpdFeedback came 510 ms | the limit is 500 ms
+checksums feedback_faulty: driving; fault checksum Auto_DriveFeedBack for 5 frames; drive 0.6 0.3; rest
+    last good Auto_DriveFeedBack | 5 of | had a wrong checksum | which should end with
+stuck_counter feedback_faulty: driving; fault stuck Auto_SteeringFeedBack for 8 frames; drive 0.6 0.3; rest
+    last good Auto_SteeringFeedBack | the last alive counters:
+wrong_scale implausible_speed: driving; fault scale wrong for 800ms; drive 0.6 0.5; rest
+    Auto_DriveFeedBack said Speed = 21 | beyond 3
+other_commander other_commander: driving; fault foreign 18C4D3D0 every 10ms for 200ms; drive 0.6 0.3; rest
+    1 command frame that this gateway did not send | 0x18C4D3D0
+bus_lost bus_down: driving; links bus_up:0 bus_losses:1; blind; drive 0.6 1.2
+    last frame was received 10.0 ms before the stop | bus can0, bus up no
+guard_lost unguarded: driving; links guarded:0; drive 0.6 0.3; links; rest
+guard_acts guard: driving; links guard_sends:1 guard_stops:1; drive 0.6 0.3
+late_loop loop_late: driving; tick_late 150; drive 0.6 0.1; rest
+    tick lateness max ms 150
+flooded feedback_late: driving; links is_behind:1; drive 0.6 0.1; links; rest
+    frames per s 630
+full_bus send_failed: driving; takes 2; drive 0.6 0.2; takes; rest
+    5 ticks in a row | 2 to 2 of five frames went out
+not_confirmed not_confirmed: ready; deaf; take; ask engage; drive 0 1.2; rest
+    engage, of operator-1 | 1.00 s before the stop | Mode = stop
+found_moving found_moving: driving; links bus_up:0 bus_losses:1; run 0.1; links bus_losses:1; run 0.3; rest
+    the CAN bus is not there | said 0.60 m/s
+shut_down shutdown: driving; shutdown; drive 0.6 0.1; rest
+rolling rolling: ready; fault slope 8; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest
+    rear wheels turned at -0. | commanded was 0.50 m/s
+not_moving not_moving: ready; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest
+    drive feedback said 0.00 m/s, commanded was 0.50 m/s
+frozen_mileage feedback_frozen: ready; engage; drive .6 1.3; fault freeze Auto_MileageAndBodyFeedback; on 0.6; rest
+    mileage read 12.345 km, and did not change over 3 m
+stuck_steering steering: ready; engage; drive 0.6 1.3; fault freeze Auto_SteeringFeedBack; on 0.6 15; rest
+    read 0.0 deg, commanded was 1 | to 15.0 deg; over 5 deg beside
+"""
+"""Of each scenario its name, the reason to be named, and its script; below that what the evidence has to say."""
+
+
+def _read_rows() -> Iterator[tuple[Scenario, tuple[Reason, tuple[str, ...]]]]:
+    for row in re.split(r"\n(?! )", ROWS.strip()):
+        head, _, evidence = row.partition("\n    ")
+        names, _, script = head.partition(": ")
+        name, reason = names.split()
+        yield Scenario(name, script), (Reason(reason), tuple(evidence.split(" | ") if evidence else ()))
+
+
+SCENARIOS: Final = dict(_read_rows())
 
 BY_NAME: Final = {one.name: one for one in SCENARIOS}
 front_bumper, deadman, remote_stop = BY_NAME["front_bumper"], BY_NAME["deadman"], BY_NAME["remote_stop"]
