@@ -203,19 +203,6 @@ def test_eight_zero_bytes_do_not_pass_for_a_driving_robot(variant: Variant, name
     assert name in published["state"][0].silent
 
 
-def test_implausible_frames_are_lost_and_a_failure_of_their_own() -> None:
-    """The third within a second is a failure; the value shown is the last plausible one, until that is too old."""
-    made, feedback = core("coarse"), Feedback(COARSE)
-    give(made, feedback, angle_deg=10.0)
-    for number in range(1, 4):
-        assert give(made, feedback, number * 10 * MS, angle_deg=-26.0) is None
-    assert state_after(made, 50).angle_deg == pytest.approx(10, abs=0.05)
-    give(made, feedback, 50 * MS, angle_deg=10.0)
-    row = next(row for row in health_after(made).feedback if row.name == "Auto_SteeringFeedBack")
-    assert (row.valid, row.lost, row.implausible, row.checksum_faults) == (2, 3, 3, 0)
-    assert "implausible" in row.failures
-
-
 @given(frame=frames)
 def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None:
     """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
@@ -325,21 +312,6 @@ def test_health_counts_a_second_of_a_whole_bus() -> None:
     for row in health.feedback:
         assert row.rate_hz == pytest.approx(1e9 / load(COARSE).messages[row.name].period_ns)
         assert (row.lost, row.silent) == (0, False)
-
-
-def test_each_failure_is_told_of_its_own_frame() -> None:
-    """Three checksum faults within a second, a stuck counter and a silence are named where they are."""
-    made, feedback = core("coarse"), Feedback(COARSE)
-    for number in range(100):
-        good = feedback.frame("Auto_GearFeedBack")
-        stuck = Feedback(COARSE).frame("Auto_SteeringFeedBack")
-        for frame in (good, spoilt(good), stuck):
-            made.receive_frame(frame, number * 10 * MS)
-    rows = {row.name: row for row in health_after(made).feedback}
-    assert rows["Auto_GearFeedBack"].failures == ["checksum"]
-    assert rows["Auto_GearFeedBack"].checksum_faults == 100
-    assert rows["Auto_SteeringFeedBack"].failures == ["alive_counter", "silence"]
-    assert rows["Auto_DriveFeedBack"].failures == ["silence"]
 
 
 def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -> None:

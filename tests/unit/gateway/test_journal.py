@@ -33,7 +33,7 @@ from gateway.journal import (
     checkpoint,
     follow,
 )
-from gateway.rerun import give, rerun, run_again, run_of
+from gateway.rerun import give, rerun, run_of
 from gateway.telemetry.health import Links
 from schemas import codec
 from schemas.codec import Sample
@@ -247,26 +247,6 @@ def test_taking_one_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert state_of(again) == renamed
     monkeypatch.undo()
     assert state_of(again) == one
-
-
-def test_a_part_of_a_driven_run_is_run_again_from_its_checkpoint() -> None:
-    """Where nothing was at rest; decisions, events and states are those of the day, byte for byte."""
-    day = lived(1)
-    journals = day.rig.journals
-    said = [sample for _, sample in day.rig.recorded if sample.subject in SAFETY]
-    for start in (len(journals) // 5, len(journals) // 2):
-        run = run_of(journals[start:])
-        assert run is not None
-        assert run.state
-        again = [
-            sample
-            for _, samples in run_again(run.core(day.rig.settings), run.inputs)
-            for sample in samples
-            if sample.subject in SAFETY
-        ]
-        missing = next(count for count in range(4) if again[-1] == said[-1 - count])
-        assert again == said[len(said) - missing - len(again) : len(said) - missing]
-        assert len(again) > len(said) * (len(journals) - start) / len(journals) / 2
 
 
 def test_a_checkpoint_is_taken_once_a_period() -> None:

@@ -1,142 +1,41 @@
-"""A recorded day, run again from its log, from a place of rest, and beside the one that it would have been."""
+"""Runs given to a core again: from their first input, from a place of rest, and with other settings beside them.
 
-from collections.abc import Callable, Iterator
-from functools import cache
-from io import BytesIO
+That whole days come out the same, from their logs, is said by the golden logs and the recorder's tests of rerun.
+"""
+
+from collections.abc import Callable
 from random import Random
 from typing import Any
 
 import msgspec
 import pytest
-from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 
 from gateway import rerun as module
-from gateway.chassis.frame import Frame
 from gateway.choice import CHASSIS
 from gateway.command.restart import QUIET_NS
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, follow, inputs_of
 from gateway.rerun import WARM_UP_NS, give, rerun, run_again, run_of, what_if
-from recorder.encoding.protobuf import compile_encoder
 from schemas import codec
-from schemas.can_word import EXTENDED
 from schemas.codec import Sample
-from schemas.configuration import TomlSource, merge
-from schemas.decisions import Decision, EventKind, Journal, SafetyEvent, SafetyState
+from schemas.decisions import Decision, EventKind, Journal, SafetyEvent
 from schemas.journal import COMMAND_RULES, Kind
 from schemas.messages import Message, Mode, RobotState, Variant
 from schemas.reasons import Reason
 from schemas.settings import Settings
-from schemas.subjects import BY_DBC_MESSAGE, BY_NAME
+from schemas.subjects import BY_NAME
 from tests.support.nights import by_night
-from tests.support.rigs.day import DAY_TICKS, MINUTE_TICKS, STARTED_NS, Day, RestfulDay, restful_day
+from tests.support.rigs.day import COMMAND, Day, RestfulDay, restful_day
 from tests.support.rigs.gateway import GatewayRig, Operator
 
-OF_FRAMES = {subject.name for subject in BY_DBC_MESSAGE.values()}
-SAFETY: dict[str, type[Message]] = {
-    "safety/decision": Decision,
-    "safety/event": SafetyEvent,
-    "safety/state": SafetyState,
-}
+SAFETY = ("safety/decision", "safety/event", "safety/state")
 
 
-class ReadBack:
-    """What a log alone says."""
-
-    def __init__(self, data: bytes) -> None:
-        reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
-        (configuration,) = (
-            attachment.data
-            for attachment in reader.iter_attachments()
-            if attachment.name.endswith("configuration.toml")
-        )
-        self.settings = merge(TomlSource("configuration.toml", configuration.decode()), {}, {})
-        self.records: dict[str, list[bytes]] = {}
-        prefix = f"{self.settings.robot.root}/{self.settings.robot.name}/"
-        for _, channel, message in reader.iter_messages(log_time_order=False):
-            self.records.setdefault(channel.topic.removeprefix(prefix), []).append(message.data)
-        self.journals = [
-            Journal(**{field: getattr(one.decoded_message, field) for field in Journal.__struct_fields__})
-            for one in reader.iter_decoded_messages([f"{prefix}journal"], log_time_order=False)
-        ]
-        self.sent = [
-            (one.decoded_message.time_ns, one.decoded_message.identifier, one.decoded_message.data)
-            for one in reader.iter_decoded_messages([f"{prefix}can/can0/tx"], log_time_order=False)
-        ]
-
-    def run_again(self) -> Iterator[tuple[list[Frame], list[Sample]]]:
-        """The core, run again."""
-        inputs = list(follow(self.journals, 0))
-        core = Core(CHASSIS, self.settings, "", inputs[0][1], self.journals[0].run)
-        return run_again(core, inputs)
-
-
-def frames_of(samples: list[Sample]) -> list[tuple[int, int, bytes]]:
-    """Time, identifier and data of the frames that were published as sent."""
-    frames: list[tuple[int, int, bytes]] = []
-    for sample in samples:
-        if sample.subject == "can/{bus}/tx":
-            batch: Any = codec.decode(BY_NAME[sample.subject], sample.payload)
-            words = [word & ~EXTENDED for word in batch.can_id]
-            frames += zip(batch.frame_time_ns, words, batch.data, strict=True)
-    return frames
-
-
-@cache
-def lived(seed: int, variant: Variant, ticks: int = DAY_TICKS) -> Day:
-    """Such a day."""
-    day = Day(seed, variant, ticks)
-    day.live()
-    return day
-
-
-@pytest.mark.parametrize(
-    ("seed", "variant", "ticks"),
-    [
-        (19, Variant.COARSE, DAY_TICKS),
-        by_night(19, Variant.COARSE, MINUTE_TICKS),
-        by_night(2, Variant.FINE, MINUTE_TICKS),
-    ],
-)
-def test_a_recorded_day_run_again_comes_out_the_same(seed: int, variant: Variant, ticks: int) -> None:
-    """From the log alone: every decision, event and state byte for byte, and every frame offered and sent."""
-    day = lived(seed, variant, ticks)
-    log = ReadBack(day.rig.log())
-    offered: list[list[Frame]] = []
-    samples: list[Sample] = []
-    for frames, published in log.run_again():
-        offered.append(frames)
-        samples += published
-    for name, kind in SAFETY.items():
-        encode = compile_encoder(kind)
-        again = [
-            encode(codec.decode(BY_NAME[name], sample.payload)) for sample in samples if sample.subject == name
-        ]
-        recorded = log.records[name]
-        # The last batch of the journal, and so the last ticks of the quiet end, is not in the log.
-        assert 0 <= len(recorded) - len(again) <= (2 if name == "safety/state" else 0)
-        assert again == recorded[: len(again)], name
-    assert frames_of(samples) == log.sent
-    bursts = [frames for frames in offered if frames]
-    assert bursts == [frames for frames in day.rig.offered if frames]
-    chassis = [sample for sample in samples if sample.subject in OF_FRAMES]
-    assert chassis == [s for _, s in day.rig.recorded if s.subject in OF_FRAMES][: len(chassis)]
-
-
-def test_the_day_is_worth_running_again() -> None:
-    """In it the robot drives, is refused, stopped and latched, loses bus and guard, and comes to rest."""
-    day = lived(19, Variant.COARSE)
-    rig = day.rig
-    assert rig.now_ns - STARTED_NS >= DAY_TICKS * 10_000_000
-    assert len(rig.bursts) > 1500
-    speeds_mps = {round(state["Auto_DriveCmd"]["TargetVelocity"], 1) for _, state in rig.bursts}  # type: ignore[arg-type]
-    assert len(speeds_mps) > 10
-    verdicts = {decision.reason for decision in rig.decided}
-    assert {Reason.NONE, Reason.MALFORMED, Reason.UNKNOWN_VERB, Reason.STOPPING} <= verdicts
-    stops = {event.reason for event in rig.events}
-    assert len(stops) >= 10, stops
-    assert {Reason.REMOTE_STOP, Reason.SHUTDOWN, Reason.LEASE_TAKEN, Reason.DEADMAN} <= stops
+def again(journals: list[Journal]) -> list[Sample]:
+    """What the core says, run again from its first input."""
+    inputs = list(follow(journals, 0))
+    core = Core(CHASSIS, Settings(command=COMMAND), "", inputs[0][1], journals[0].run)
+    return [sample for _, samples in run_again(core, inputs) for sample in samples]
 
 
 def short(act: Callable[[Day], object] = lambda _day: None, seconds: float = 2) -> Day:
@@ -147,14 +46,12 @@ def short(act: Callable[[Day], object] = lambda _day: None, seconds: float = 2) 
     return day
 
 
-def test_a_gap_is_noticed_wherever_a_run_is_run_again() -> None:
-    """Bit by bit too: what comes before it has come out, and nothing that looks like a run comes after."""
-    log = ReadBack(short().rig.log())
-    del log.journals[20]
-    with pytest.raises(JournalGapError):
-        list(log.run_again())
+def test_a_gap_is_noticed() -> None:
+    """What comes before it has come out, and nothing that looks like a run comes after."""
+    journals = short().rig.journals
+    del journals[20]
     with pytest.raises(JournalGapError, match="are missing"):
-        list(rerun(log.settings, log.journals))
+        list(rerun(Settings(command=COMMAND), journals))
 
 
 BEGUN: dict[str, tuple[Callable[[Day], object], EventKind, Reason, str]] = {
@@ -179,15 +76,9 @@ def test_what_a_run_began_with_is_run_again_so(
 ) -> None:
     """An event that nothing in the bus or the requests explains is in the journal as well."""
     day = short(act)
-    events = [
-        [one.payload for one in samples if one.subject == "safety/event"]
-        for samples in (
-            (s for _, samples in ReadBack(day.rig.log()).run_again() for s in samples),
-            (one for _, one in day.rig.recorded),
-        )
-    ]
-    assert events[0] == events[1]
-    (event,) = (codec.decode(BY_NAME["safety/event"], payload) for payload in events[0])
+    said = [sample for _, sample in day.rig.recorded if sample.subject == "safety/event"]
+    assert [sample for sample in again(day.rig.journals) if sample.subject == "safety/event"] == said
+    (event,) = (codec.decode(BY_NAME["safety/event"], sample.payload) for sample in said)
     assert isinstance(event, SafetyEvent)
     assert (event.kind, event.reason, event.text.endswith(text)) == (kind, reason, True)
 
@@ -208,21 +99,20 @@ def test_another_run_number_gives_other_leases() -> None:
     day = short(seconds=1)
     Operator(day.rig).take_lease()
     day.rig.run(1)
-    log = ReadBack(day.rig.log())
-    log.journals = [msgspec.structs.replace(journal, run=1) for journal in log.journals]
-    again = [s.payload for _, samples in log.run_again() for s in samples if s.subject == "safety/decision"]
-    assert again
-    assert again != [s.payload for _, s in day.rig.recorded if s.subject == "safety/decision"]
+    said = [sample for _, sample in day.rig.recorded if sample.subject == "safety/decision"]
+    for run, is_same in ((day.rig.journals[0].run, True), (1, False)):
+        journals = [msgspec.structs.replace(journal, run=run) for journal in day.rig.journals]
+        found = [sample for sample in again(journals) if sample.subject == "safety/decision"]
+        assert (found == said) is is_same
 
 
 def test_a_run_may_come_bit_by_bit() -> None:
     """The same comes out of journals that are read one after the other, and at last what is still in batches."""
-    log = ReadBack(short(seconds=1).rig.log())
-    samples = [sample for _, published in log.run_again() for sample in published]
-    again = list(rerun(log.settings, iter(log.journals)))
-    assert again[: len(samples)] == samples
-    assert {sample.subject for sample in again[len(samples) :]} <= {"can/{bus}/rx", "can/{bus}/tx", "journal"}
-    assert not list(rerun(log.settings, iter(())))
+    journals = short(seconds=1).rig.journals
+    samples, found = again(journals), list(rerun(Settings(command=COMMAND), iter(journals)))
+    assert found[: len(samples)] == samples
+    assert {sample.subject for sample in found[len(samples) :]} <= {"can/{bus}/rx", "can/{bus}/tx", "journal"}
+    assert not list(rerun(Settings(), iter(())))
 
 
 def made_up(first: int, *inputs: object) -> Journal:
@@ -276,9 +166,9 @@ def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> No
         run = run_of(journals[start:])
         if run is None:
             continue
-        again = list(run_again(run.core(day.rig.settings), run.inputs))
-        told = [sample for _, samples in again for sample in samples if sample.subject in SAFETY]
-        sent = [frames for frames, _ in again if frames]
+        repeated = list(run_again(run.core(day.rig.settings), run.inputs))
+        told = [sample for _, samples in repeated for sample in samples if sample.subject in SAFETY]
+        sent = [frames for frames, _ in repeated if frames]
         # The journal's last batch, and so the last ticks, are not in it.
         missing = next(count for count in range(4) if told[-1] == said[-1 - count])
         assert told == said[len(said) - missing - len(told) : len(said) - missing]
