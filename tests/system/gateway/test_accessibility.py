@@ -36,15 +36,9 @@ from tests.support.rigs.scenarios import front_bumper, recorded
 
 HOST: Final = "127.0.0.1"
 
-TURNS: Final = 10
-"""The listener is asked a hundred times a second; robots publish ten times."""
-
-EVENTS: Final = 20
-"""So many fill the list of a robot's events, and it scrolls."""
-
-EVENTS_TURN: Final = 50
-"""What happened before its robot is known is not kept."""
-
+TURNS: Final = 10  # the listener is asked a hundred times a second; robots publish ten times
+EVENTS: Final = 20  # so many fill the list of a robot's events, and it scrolls
+EVENTS_TURN: Final = 50  # what happened before its robot is known is not kept
 _READY: Final = msgspec.structs.replace(STANDBY, lease_holder="", blocked_by=[Reason.NO_LEASE, Reason.NOT_ENGAGED])
 _ENGAGED: Final = msgspec.structs.replace(
     STANDBY, state=ArbiterState.ENGAGED, engaged=True, link_age_s=0.02, travel_speed_limit_mps=1.5
@@ -130,8 +124,7 @@ def desk_of_all_states(logs: Path) -> Iterator[str]:
 
 LOG: Final = "needs-reset-20260102T030405Z.mcap"
 
-REPORT_MS: Final = 100_000
-"""A report is made when it is asked for; a busy machine takes its time."""
+REPORT_MS: Final = 100_000  # a report is made when it is asked for; a busy machine takes its time
 
 
 CUT: Final = """() => [...document.querySelectorAll(".band, .band *, .why, .why *, #link")]

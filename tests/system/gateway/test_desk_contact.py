@@ -15,8 +15,7 @@ from tests.support.waiting import wait_until
 LOST = re.compile(
     r"No contact with cruiser-1 for (\d+\.\d) s\. It may be moving\. Look at it; use the button on the robot\."
 )
-LONG_S = 4.0
-"""The page goes on saying so, with the time; long enough for the desk and Zenoh to give each other up."""
+LONG_S = 4.0  # the page goes on saying so, with the time; long enough for the desk and Zenoh to give each other up
 
 
 def lost_s(page: Page) -> float:

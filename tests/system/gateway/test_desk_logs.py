@@ -34,15 +34,11 @@ STRANGE: Final = 'a b#%3C"&<img src=x>\u202epacm.mcap'
 
 STOP: Final = "2023-11-14T22:13:22.040Z"
 
-AGES: Final = 50
-"""Looks at the age of the commands, before the questions."""
-
-ANSWER_MS: Final = 100_000
-"""An answer is looked for when it is asked for; a busy machine takes its time."""
+AGES: Final = 50  # looks at the age of the commands, before the questions
+ANSWER_MS: Final = 100_000  # an answer is looked for when it is asked for; a busy machine takes its time
 
 
-QUESTIONS_S: Final = 500.0
-"""Hostile and large logs take their time, beside everything else, which comes first."""
+QUESTIONS_S: Final = 500.0  # hostile and large logs take their time, beside everything else, which comes first
 
 
 @contextmanager

@@ -1,6 +1,8 @@
-"""Samples in, metrics out; and their table, held against the fields of the messages."""
+"""Samples in, metrics out; their table, held against the fields of the messages; and what the command needs."""
 
 from __future__ import annotations
+
+import sys
 
 import msgspec
 import pytest
@@ -9,11 +11,14 @@ from hypothesis import strategies as st
 from msgspec import Meta
 from prometheus_client.parser import text_string_to_metric_families
 
+from gateway.cli import metrics
 from gateway.client.fleet import HEALTH_STALE_NS
 from gateway.metrics import BOUNDS, GAP_MAX, INFO, LABEL_LENGTH_MAX, LABELS_MAX, MEASURES, Measure, bounded
 from gateway.telemetry.samples import Missed, Received
+from schemas.command_line import CommandError
 from schemas.configuration import attribute_texts
 from schemas.messages import SEQUENCE_MAX, UNIT_KEYWORD
+from tests.support.commands import run_command
 from tests.support.messages import HEALTH, STANDBY, STATE, recorder_health
 from tests.support.metrics import (
     FULL,
@@ -276,3 +281,14 @@ def test_labels_that_somebody_makes_up_are_bounded(counts: dict[str, int]) -> No
     assert len(labels) == len(set(labels)) <= LABELS_MAX + 1
     assert all(label.isprintable() and len(label) <= 10 * LABEL_LENGTH_MAX for label in labels)
     assert sum(count for _, count in kept) == sum(counts.values())
+
+
+def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The product does not need it otherwise."""
+    for name in [name for name in sys.modules if name.startswith("prometheus_client")]:
+        monkeypatch.delitem(sys.modules, name)
+    for name in ("gateway.cli.metrics_server", "gateway.metrics"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    with pytest.raises(CommandError, match=r"prometheus_client: pip install -e '\.\[metrics\]'"):
+        run_command(metrics, stopped=lambda: True)

@@ -16,9 +16,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from gateway.cli.demo import CRUISER
 from tests.support.processes.gateway import run
 
-TIMEOUT_S = 400
-"""On a busy machine a demo begins again and again."""
-
+TIMEOUT_S = 400  # on a busy machine a demo begins again and again
 pytestmark = [pytest.mark.timeout(TIMEOUT_S), pytest.mark.long]
 
 
@@ -94,8 +92,7 @@ def test_the_demo_tells_and_records_what_the_arbiter_did(demo: Demo) -> None:
     assert len(summary.chunk_indexes) > 10
 
 
-HELD_UP_S = 0.5
-"""The guard stops a robot after a tenth of a second."""
+HELD_UP_S = 0.5  # the guard stops a robot after a tenth of a second
 
 
 @pytest.mark.night

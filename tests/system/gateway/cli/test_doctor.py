@@ -11,8 +11,7 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis, gateway, run
 from tests.support.waiting import wait_until
 
-ELSEWHERE = {"realtime", "clock_unsynchronised"}
-"""Findings that depend on the machine on which the tests run."""
+ELSEWHERE = {"realtime", "clock_unsynchronised"}  # findings that depend on the machine on which the tests run
 
 
 @pytest.fixture

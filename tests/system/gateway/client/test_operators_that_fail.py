@@ -27,8 +27,7 @@ from tests.support.processes.guard import COMMANDS, Listener
 from tests.support.processes.holding import STARVED, is_done
 from tests.support.waiting import DEADLINE_S, wait_until
 
-SILENCE = 100
-"""Frames of feedback, which a chassis sends in 0.2 s."""
+SILENCE = 100  # frames of feedback, which a chassis sends in 0.2 s
 
 
 class Scene:

@@ -176,8 +176,7 @@ COCKPIT = Cockpit(
     wish=NOTHING,
     message="",
 )
-OTHER_KEYS = {"+", "-", "g", "r", "x", "q"}
-"""What these do: tests/system/gateway/client/test_drive_by_keys.py."""
+OTHER_KEYS = {"+", "-", "g", "r", "x", "q"}  # what these do: tests/system/gateway/client/test_drive_by_keys.py
 
 
 def test_the_keys_that_are_shown_exist_and_all_of_them_are_shown() -> None:

@@ -10,8 +10,7 @@ from tests.support.nights import by_night
 from tests.support.rigs.far_operator import FarOperator, trip
 from tests.support.rigs.gateway import GatewayRig
 
-BY_DAY = ("Wi-Fi", "LTE bad")
-"""A link that stalls often, and one that loses much too."""
+BY_DAY = ("Wi-Fi", "LTE bad")  # a link that stalls often, and one that loses much too
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
