@@ -106,14 +106,11 @@ RESTED = (
     f"release none; {QUIET}"
 )
 NO_REST = {
-    "a lease": "operator third; reply acquire none",
+    # What keeps a gateway from starting again keeps it from rest, too; and more does.
     "asked in vain": "send drive stranger; tick 1",
     "a remote stop": "send stop stranger; wait 7",
     "a bumper": "bumper front on; wait 7",
     "no feedback": "silence Auto_GearFeedBack; wait 1",
-    "no bus": "links bus_up:0 bus_losses:1; wait 1",
-    "it moves": "transmitter remote; sticks 0.5 0; wait 3",
-    "it ends": "shutdown; tick 1",
 }
 LAMPS_LEFT = (
     "ready; engage; reply light none headlamp:true; reply light none headlamp:{}; transmitter remote; wait 0.5; "
