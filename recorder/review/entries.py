@@ -85,7 +85,7 @@ class RobotClock:
         before_ns = self.offset_ns
         is_near = self._is_near(tick)
         set_ns = self._set_by(publish_ns, log_ns, tick)
-        if not is_near and not self._explains(log_ns - publish_ns):
+        if not is_near:
             self._begin(log_ns)
         elif set_ns:
             said = f"the robot's clock was set by {set_ns / 1e9:+.1f} s"
@@ -98,10 +98,6 @@ class RobotClock:
             self.corrected_ns = self.offset_ns - before_ns
         self._tick, self._publish_ns, self._log_ns = tick, publish_ns, log_ns
         return said or self._news()
-
-    def _explains(self, off_ns: int) -> bool:
-        """Return True if the clock is as before the pause, as far as is known."""
-        return self._is_settled and self._least_ns is not None and 0 <= off_ns - self._least_ns <= NEAR_NS
 
     def _weigh(self, off_ns: int, log_ns: int) -> None:
         """A state was received so long after the robot's time. The smallest such time counts, once it is sure."""

@@ -130,15 +130,6 @@ def test_a_long_rest_ends_a_drive(rest_ns: int, count: int) -> None:
     assert found.drives()[-1].end_ns == 10**15 + 5 + rest_ns
 
 
-def test_a_clock_that_was_set_back_begins_another_drive() -> None:
-    """They are in the order of the robot's time; the log times are the recorder's."""
-    found = Drives()
-    found.command(10**18, 10**18)
-    found.command(10**18 - DAY_NS, 10**18 + SECOND)
-    assert [one.start_ns for one in found.drives()] == [10**18 - DAY_NS, 10**18]
-    assert found.drives()[0].log_start_ns == 10**18 + SECOND
-
-
 def test_a_drive_misses_what_was_not_recorded_in_it() -> None:
     """A pause between two drives is none of it."""
     found = Drives()
@@ -267,14 +258,3 @@ def test_another_gateway_or_a_reset_goes_on_from_the_same_place(rest_ns: int) ->
     for said in (*first, *second):
         way.follow(said, said.time_ns)
     assert place(way) == pytest.approx((2.96, 0.0, 0.0, 2.96), abs=0.03)
-
-
-def test_where_the_odometry_ends_the_states_go_on() -> None:
-    """After half a second, by a log whose recorder lost the topic."""
-    motion = SpeedMeter()
-    told = odometries([(1.0, 0.0)], WALL_NS)
-    for said in told:
-        motion.way.follow(said, said.time_ns)
-    for number in range(1, 41):
-        motion.add(told[-1].time_ns + number * STEP_NS, 1.0, 0.0)
-    assert motion.distance_m == pytest.approx(0.98 + 1.45, abs=0.06)

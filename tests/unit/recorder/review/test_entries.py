@@ -163,13 +163,9 @@ THIS = (FRAME.name,)
 HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[Told]]] = [
     (ILL, ILL, []),
     (None, WELL, []),
-    (WELL, health(faults={"silence": 2}), [new("frames stayed away", 2)]),
     (WELL, health(faults={"period": 5}), [new("frames came irregularly", 5)]),
     (WELL, health(feedback=frame(checksum_faults=3)), [new("frames with a wrong checksum", 3, THIS)]),
     (WELL, health(feedback=frame(failures=["silence"])), [new("silent", 1, THIS)]),
-    (WELL, health(bus_losses=1), [new("the CAN bus was lost")]),
-    (WELL, health(bus_drops=9), [new("frames were dropped: not read in time, or garbled", 9)]),
-    (WELL, health(publish_failures=4), [new("Zenoh did not take samples", 4)]),
     (WELL, health(inbox_drops=5), [new("requests were dropped unread: too many came", 5)]),
     (
         WELL,

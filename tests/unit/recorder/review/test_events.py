@@ -11,12 +11,10 @@ import pytest
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
 from recorder.review import events
-from recorder.review.entries import Entry, EntryKind, EntrySource
+from recorder.review.entries import Entry, EntryKind
 from recorder.review.events import read_events
-from recorder.review.window import BY_IDENTIFIER
 from schemas.decisions import (
     ArbiterState,
-    Decision,
     EventKind,
     SafetyEvent,
     SafetyState,
@@ -27,11 +25,8 @@ from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap
 from tests.support.logs import Log
 from tests.support.messages import HEALTH, MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
-from tests.support.messages import refusal as refused
-from tests.support.nights import some_by_day
 from tests.support.rigs import gateway, scenarios
-from tests.support.rigs.recorded import RecordedRig
-from tests.support.rigs.scenarios import SCENARIOS, Scenario, acted, recorded
+from tests.support.rigs.scenarios import recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
@@ -85,54 +80,12 @@ def event(tick: int, sequence: int, kind: EventKind = EventKind.RESET, text: str
     )
 
 
-def refusal(tick: int, sequence: int, reason: Reason = Reason.TOO_OLD, operator: str = "operator-1") -> Decision:
-    """A drive command that was refused."""
-    said = {"time_ns": at(tick), "tick": FIRST_TICK + tick, "age_ms": 500.0, "frames_sent": 5}
-    detail = f"detail {sequence}"
-    return refused(sequence, operator=operator, reason=reason, detail=detail, requested_speed_mps=0.5, **said)
-
-
 def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
     """A log of messages, each with its tick of receipt."""
     log = Log()
     for tick, message in said:
         log.receive(sample_of(message), wall_ns=at(tick) + 2 * MS)
     return log.close()
-
-
-@pytest.mark.parametrize("scenario", some_by_day(list(SCENARIOS), 4), ids=str)
-def test_every_event_of_the_arbiter_is_told_once_in_its_order(scenario: Scenario, path: Path) -> None:
-    """With its own time, operator, reason and text; states tell of the guard alone."""
-    entries = told(path, recorded(scenario))
-    said = [one for one in entries if one.source is EntrySource.EVENT]
-    assert [(one.time_ns, one.tick, one.reason, one.operator, one.text) for one in said] == [
-        (one.time_ns, one.tick, one.reason, one.operator, one.text) for one in acted(scenario).events
-    ]
-    assert {one.kind for one in entries if one.source is EntrySource.STATE} <= {EntryKind.GUARD}
-
-
-def test_a_stream_that_is_refused_is_one_entry(path: Path) -> None:
-    """With a count, the first time and the last; another reason or operator is another entry."""
-    said: list[tuple[int, Message]] = [(2 * n, refusal(2 * n, n)) for n in range(500)]
-    said += [(1000, refusal(1000, 500, Reason.SEQUENCE)), (1001, refusal(1001, 501, operator="operator-2"))]
-    entries = told(path, log_of(said))
-    assert [(one.count, one.reason, one.operator) for one in entries] == [
-        (500, Reason.TOO_OLD, "operator-1"),
-        (1, Reason.SEQUENCE, "operator-1"),
-        (1, Reason.TOO_OLD, "operator-2"),
-    ]
-    assert (entries[0].time_ns, entries[0].last_ns) == (at(0), at(998))
-    assert entries[0].text == "drive refused: detail 499"
-    assert {one.kind for one in entries} == {EntryKind.REFUSAL}
-
-
-def test_what_was_asked_for_later_is_told_in_its_place(path: Path) -> None:
-    """A recorder that comes late gets the past behind the present."""
-    said = [(5000 + n, event(5000 + n, 500 + n)) for n in range(3)]
-    said += [(5010, event(n * 10, n)) for n in range(500)]
-    entries = told(path, log_of(said))
-    assert [one.text for one in entries] == [str(n) for n in range(503)]
-    assert not any(one.is_late for one in entries)
 
 
 def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,35 +138,6 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
     assert "the disk did not take or keep them" in entries[0].text
 
 
-def test_one_outage_begins_once_and_ends_once(path: Path) -> None:
-    """All feedback stays away and comes again: not a line for each frame and each of its faults."""
-    rig, _ = RecordedRig.driving()
-    rig.corrupt = lambda _frame: None
-    rig.run(3.0)
-    rig.corrupt = lambda frame: frame
-    rig.rest_after(5.0)
-    entries = [one for one in told(path, rig.log()) if one.source is EntrySource.HEALTH]
-    faults = [(one.count, one.text.partition(": ")[2]) for one in entries if "silen" in one.text]
-    assert faults == [(10, f"silent{AFTER}"), (10, "no longer at fault (silence)")]
-    assert sum(one.count for one in entries if "missing frames" in one.text) == 1890
-    assert len(entries) <= 4
-    for one in entries:
-        assert one.text.startswith("10 frames (")
-        assert all(frame.name in one.text for frame in BY_IDENTIFIER.values() if frame.is_feedback)
-
-
-def test_a_fault_stands_before_what_it_causes(path: Path) -> None:
-    """The health that tells of it comes later: it began behind the health before."""
-    entries = told(path, recorded(scenarios.one_silent_frame))
-    (stop,) = (one for one in entries if one.kind is EntryKind.STOP)
-    faults = [one for one in entries if one.source is EntrySource.HEALTH and "missing frames" not in one.text]
-    assert faults
-    for one in faults:
-        assert one.time_ns <= stop.time_ns <= one.last_ns
-        assert one.last_ns - one.time_ns == SECOND
-        assert entries.index(one) < entries.index(stop)
-
-
 HOUR = 360_000
 """In ticks."""
 
@@ -261,6 +185,12 @@ A 0-1000 behind 500
 == two gateways of one name are said once
 A 0-1000 & B 302-1000 driven
     305 gateway warning 1x: two gateways speak under this name: these entries are of both
+== what was asked for later is told in its place
+reset 500-510; reset 0-10 held 0-515
+    0 reset info 1x: reset 2
+    5 reset info 1x: reset 3
+    500 reset info 1x: reset 0
+    505 reset info 1x: reset 1
 == samples that are missing are told, events by their sequence and states by their silence
 A 0-100; reset 3; A 300-500; reset 400 skipping 6
     3 reset info 1x: reset 0

@@ -3,13 +3,11 @@
 import re
 from collections.abc import Iterator
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
 import pytest
-from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Page, Request
 
 from recorder.review.report.findings import Report
@@ -144,15 +142,3 @@ def test_the_policy_stops_what_escaping_might_let_through(
     assert "data-owned" not in opened.dom
     assert not [url for url in opened.requests if url.startswith("http")]
     assert any("Content Security Policy" in line for line in opened.console)
-
-
-def test_a_phone_in_the_dark_shows_the_path(report: Report, running_browser: Browser, tmp_path: Path) -> None:
-    """The page is dark, and the path's blue is on it."""
-    context = running_browser.new_context(viewport={"width": 500, "height": 2600}, color_scheme="dark")
-    opened = open_page(context, tmp_path, page(report))
-    with Image.open(BytesIO(opened.page.screenshot())) as shot:
-        pixels = shot.convert("RGB")
-        assert pixels.width == 500
-        colours = {colour: count for count, colour in pixels.getcolors(1 << 20) or () if isinstance(colour, tuple)}
-    assert colours.get(PATH_BLUE, 0) > 200
-    assert max(colours, key=lambda colour: colours[colour]) < (60, 60, 60)

@@ -191,36 +191,6 @@ def test_a_drive_plays_pauses_and_ends(page: Page, drive: Path) -> None:
     assert moment(page, 1) == stood
 
 
-def dragged(page: Page, field: str, *keys: str) -> None:
-    """Draw the mouse over the middle half of a field, with keys held."""
-    place = page.locator(field).first
-    place.scroll_into_view_if_needed()
-    box = place.bounding_box()
-    assert box is not None
-    for key in keys:
-        page.keyboard.down(key)
-    page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 4)
-    page.mouse.down()
-    page.mouse.move(box["x"] + box["width"] * 3 / 4, box["y"] + box["height"] * 3 / 4, steps=5)
-    page.mouse.up()
-    for key in keys:
-        page.keyboard.up(key)
-
-
-def test_a_drag_zooms_all_charts_and_with_shift_pans_them(page: Page, drive: Path) -> None:
-    """The moment stays; two clicks show the whole again."""
-    opened(page, drive)
-    whole = shown(page)
-    dragged(page, "#time-0 .u-over")
-    wait_until(lambda: shown(page)[0][:21] == "2027-01-15T08:00:02.4")
-    assert shown(page)[1][:21] == "2027-01-15T08:00:07.6"
-    assert moment(page) == "08:00:00.000"
-    dragged(page, "#time-0 .rows", "Shift")
-    assert shown(page)[1] < "2027-01-15T08:00:06"
-    page.locator("#time-0 .u-over").last.dblclick()
-    assert shown(page) == whole
-
-
 def test_a_phone_needs_no_sideways_scrolling(page: Page, bumper: Path) -> None:
     """With a reason open; what is wide scrolls in its own box."""
     page.set_viewport_size(PHONE)  # type: ignore[arg-type]

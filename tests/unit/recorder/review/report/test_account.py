@@ -11,7 +11,7 @@ from recorder.reading.topics import Topic
 from recorder.review.drives import ENTRIES_MAX, MARGIN_NS, Outage
 from recorder.review.entries import EntryKind
 from recorder.review.events import Timeline
-from recorder.review.report import account, gather
+from recorder.review.report import account
 from recorder.review.report.account import (
     DRIVERS_MAX,
     MOST,
@@ -170,15 +170,6 @@ def test_a_log_that_ends_in_the_middle_of_a_drive_says_so(
     assert report.summary.outages == silent * is_silent
 
 
-def test_several_robots_have_a_report_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the order of their names. Names can be made up without end: beyond a limit they are counted."""
-    path = write_messages(tmp_path / "a.mcap", drive_messages(20), robots=["r-2", "r-1", "r-3", "r-4"])
-    monkeypatch.setattr(gather, "ROBOTS_MAX", 2)
-    report = report_of(path)
-    assert ([robot.summary.name for robot in report.robots], report.more_robots) == (["r-1", "r-2"], 2)
-    assert all("fleet/r-1/" in topic for topic in report.robots[0].summary.completeness)
-
-
 def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
     """Each recorder knows but one of the name; neither's gateway, nor what is said of it, is the other's."""
     paths = []
@@ -259,21 +250,6 @@ def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path:
     assert robot.summary.start_ns == WALL_NS
     assert (robot.summary.stops, robot.summary.refused) == ({"front_bumper": 1}, 1)
     assert [moment.time_ns for moment in robot.moments] == [WALL_NS + 50 * PERIOD_NS]
-
-
-def test_metadata_tell_of_each_gateway_not_only_of_the_last(tmp_path: Path) -> None:
-    """Of two robots of one name, too: their recorder calls only the second one by its root."""
-    log = Log()
-    log.receive(sample_of(gateway_info(0), root="fleet"))
-    for root in ("fleet", "depot"):
-        log.receive(sample_of(gateway_info(50, f"root = '{root}'\n"), root=root))
-        log.receive(sample_of(state(0), root=root), wall_ns=WALL_NS)
-    path = tmp_path / "a.mcap"
-    path.write_bytes(log.close())
-    for robot, root in zip(report_of(path).robots, ("depot", "fleet"), strict=True):
-        own = gateway_info(50, f"root = '{root}'\n").configuration_sha256
-        hashes = [one.configuration_sha256 for one in robot.summary.in_force]
-        assert hashes == [*([gateway_info(0).configuration_sha256] if root == "fleet" else []), own]
 
 
 @pytest.mark.parametrize(
@@ -362,14 +338,6 @@ def test_each_gateway_is_told_once() -> None:
     bare = Versions()
     bare.read(noted(gateway_info(50, SLOW)))
     assert (since(bare.in_force()), bare.in_force()[0].versions) == ([50], found[1].versions)
-
-
-def test_gateways_outside_of_the_period_are_left_out() -> None:
-    """The one that was there when it began is not."""
-    versions = heard(*(gateway_info(number, f"a = {number}\n") for number in (0, 50, 90)))
-    for from_s, to_s, kept in ((0, 60, [0, 50]), (60, 80, [50]), (60, 95, [50, 90]), (91, 200, [90])):
-        found = versions.in_force(0, WALL_NS + from_s * PERIOD_NS, WALL_NS + to_s * PERIOD_NS)
-        assert since(found) == kept
 
 
 def test_metadata_of_no_sense_and_gateways_without_end_are_bounded() -> None:

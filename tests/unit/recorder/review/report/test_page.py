@@ -44,8 +44,8 @@ from recorder.review.report.page import (
 )
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Message, Mode
-from tests.support.drives import HOSTILE, drive_messages, drives_over, restart, write_messages
-from tests.support.messages import MS, PERIOD_NS, SECOND, WALL_NS, arbiter, event, gateway_info, refusal, state
+from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
+from tests.support.messages import MS, PERIOD_NS, WALL_NS, arbiter, event, gateway_info, refusal, state
 from tests.support.reading import report_of
 
 STEP_NS = 50 * MS
@@ -74,18 +74,6 @@ def test_bounds_and_ends_survive_whatever_the_order(values: list[float], random:
     assert points == sorted(points)
     assert {points[0], points[-1]} == {(samples[0][0], values[0]), (samples[-1][0] * MS, values[-1])}
     assert (min(value for _, value in points), max(value for _, value in points)) == (min(values), max(values))
-
-
-def test_a_spike_of_one_sample_in_many_is_drawn() -> None:
-    """It is what the report is read for; a period without it has it not."""
-    series = Series()
-    for number in range(300_000):
-        series.add(number * STEP_NS, 9.0 if number == 123_456 else 1.0)
-    points = list(series.points())
-    assert (123_456 * STEP_NS, 9.0) in points
-    assert len(points) <= 6000
-    part = list(series.points(1000 * SECOND, 2000 * SECOND))
-    assert all(point is not None and 1000 * SECOND <= point[0] <= 2000 * SECOND for point in part)
 
 
 def test_a_silence_breaks_the_line() -> None:
@@ -117,17 +105,6 @@ def test_a_value_holds_until_another_comes(
     for time_ms, value in samples:
         spans.add(time_ms * MS, value)
     assert spans.spans() == [Span(start_ms * MS, end_ms * MS, value) for start_ms, end_ms, value in found]
-
-
-def test_a_path_that_breaks_off_goes_on_from_the_same_place() -> None:
-    """A robot that stands is one place, and the last one."""
-    path = DrivenPath()
-    for number, (x_m, begins) in enumerate(((0.0, True), (0.05, False), (0.1, False), (0.1, True))):
-        path.add(number * STEP_NS, (x_m, 0.0, 0.0), begins=begins)
-    for number in range(4, 100):
-        path.add(number * STEP_NS, (0.1, 0.0, 0.0), begins=False)
-    assert [place.x_m for place in path.places()] == pytest.approx([0.0, 0.05, 0.1, 0.1, 0.1])
-    assert [place.begins for place in path.places()] == [True, False, False, True, False]
 
 
 def test_a_long_drive_keeps_a_bounded_number_of_places_near_the_path() -> None:
@@ -368,16 +345,6 @@ def test_errors_are_shown_however_many_events_there_are(hostile: Report) -> None
     assert html.count("<td>lease</td>") == MOMENTS_SHOWN - 1
     assert html.count("<td>gateway</td>") == 1
     assert "53 of less weight, or later, are left out" in html
-
-
-def test_several_drives_have_a_table_with_links(tmp_path: Path) -> None:
-    """Each with its distance, its stops, its worst moment, and a section of its own."""
-    html = page(report_of(write_messages(tmp_path / "a.mcap", drives_over(3, 3))))
-    table = html.partition('id="overview"')[2].partition("</table>")[0]
-    assert len(re.findall(r"<td>(2\.9|3\.0) m</td><td class=number>1</td>", table)) == 3  # Of 2.95 m.
-    assert re.findall(r'href="(#drive-\d)"', table) == ["#drive-0", "#drive-1", "#drive-2"]
-    assert table.count('<b><a href="#t=') == 3
-    assert html.count('class="drive" id="drive-') == 3
 
 
 @given(st.recursive(st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
