@@ -60,14 +60,6 @@ def shown(*samples: ReceivedSample, wanted: tuple[str, ...] = ()) -> tuple[LiveC
     return channels, viewers
 
 
-def test_a_message_is_the_record_that_a_log_would_have() -> None:
-    """Topic, schema, time of receipt and bytes."""
-    _, viewers = shown(sample_of(gear(3)))
-    assert viewers.records == [(GEAR_KEY, WALL_NS, encoded(gear(3)))]
-    channel = viewers.by_topic[GEAR_KEY]
-    assert (channel.schema_name, channel.schema_data) == ("cruiser.Gear", descriptor_set(Gear))
-
-
 def test_each_topic_of_a_log_is_shown_with_as_many_records() -> None:
     """The recorder is the oracle: frames one by one, events twice, what is broken whole, what is unknown too."""
     samples = [
