@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -54,9 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a directory of logs, here or in an object store (s3://BUCKET/PLACE, ...)",
     )
     add_robots(parser)
-    parser.add_argument(
-        "--reason", choices=_REASONS, metavar="WORD", help="with a stop or refusal for this reason"
-    )
+    parser.add_argument("--reason", type=_reason, metavar="WORD", help="with a stop or refusal for this reason")
     parser.add_argument("--operator", metavar="NAME", help="of this operator")
     moment = "a time before now (90min, 12h, 30d, 2w), or a date in UTC (2026-01-02, 2026-01-02T03:04:05Z)"
     parser.add_argument("--since", type=_moment, default=0, metavar="TIME", help=f"not over before: {moment}")
@@ -69,6 +68,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="keep the catalog there, not beside the logs; of one directory",
     )
+
+
+def _reason(text: str) -> str:
+    if text in _REASONS:
+        return text
+    near = get_close_matches(text, _REASONS, 1)
+    hint = f"did you mean {near[0]}?" if near else f"it is one of {', '.join(_REASONS)}"
+    raise argparse.ArgumentTypeError(f"there is no reason {text!a}: {hint}")
 
 
 def _moment(text: str) -> int:

@@ -391,7 +391,7 @@ $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 2$ report two.mcap --json --robot r-3 => there is nothing of r-3 in these logs
 == what means nothing is a matter of usage [logs/a.mcap logs/cruiser-2-b.mcap]
 2$ find 'stop last 7d' logs => invalid choice: 'stop last 7d' (choose from
-2$ find stops --reason front_bumpr logs => invalid choice: 'front_bumpr' (choose from
+2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?
 2$ find stops --since yesterday logs => 'yesterday' is no time: give one as 30d
 2$ find stops --since 30 logs => '30' is no time
 2$ find stops --newest 0 logs => '0' is no number of answers
