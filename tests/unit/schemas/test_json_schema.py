@@ -15,28 +15,6 @@ from schemas.requests import Request
 from schemas.subjects import Command
 from tests.support.strategies import ANYTHING, any_of, commands_and_requests
 
-UNIT_SUFFIXES = {
-    "_m2ps2": "m2/s2",
-    "_rad2ps2": "rad2/s2",
-    "_m2": "m2",
-    "_rad2": "rad2",
-    "_rad": "rad",
-    "_ns": "ns",
-    "_ms": "ms",
-    "_mps": "m/s",
-    "_mps2": "m/s2",
-    "_1pm": "1/m",
-    "_degps": "deg/s",
-    "_radps": "rad/s",
-    "_deg": "deg",
-    "_km": "km",
-    "_hz": "Hz",
-    "_per_s": "Hz",
-    "_s": "s",
-    "_m": "m",
-    "_bytes": "B",
-    "_percent": "%",
-}
 VALIDATORS = {name: jsonschema.Draft202012Validator(json_schema.schema(name)) for name in KINDS}
 
 
@@ -103,14 +81,3 @@ def test_a_request_that_is_understood_is_valid_under_its_schema(
     fields[name] = data.draw(ANYTHING)
     if not VALIDATORS[command.schema_name].is_valid(fields):
         assert isinstance(decode_request(command, msgpack.packb(fields)), PayloadFault)
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_a_name_with_a_unit_has_it_under_the_unit_keyword(name: str) -> None:
-    """A field whose name ends in a unit has that unit in the schema, and no other field has one."""
-    schema = json_schema.schema(name)
-    parts = [schema, *(part for part in schema.get("$defs", {}).values() if "properties" in part)]
-    for part in parts:
-        for field, value in part["properties"].items():
-            wanted = next((unit for suffix, unit in UNIT_SUFFIXES.items() if field.endswith(suffix)), None)
-            assert value.get("unit") == wanted, field

@@ -265,17 +265,6 @@ def test_a_request_of_the_greatest_size_is_read(bench: Bench, size: int, is_read
     assert (len(request.payload), request.size) == (size if is_read else 0, size)
 
 
-@pytest.mark.parametrize("operator", ["Ünal", "a b", "x" * 65, "a,b", "日本", "-", "..", "%00", "a=b;c", "a@b"])
-def test_an_operator_of_another_form_has_no_name(bench: Bench, operator: str) -> None:
-    """Such a request is judged like any other, by a nameless one; its query is answered."""
-    asked = bench.ask(f"{ROBOT}{operator}/acquire")
-    (request,) = bench.wait_for(1)
-    assert request.verb == "acquire"
-    assert request.operator == (operator if operator in {"-", ".."} else "")
-    bench.answer([request])
-    assert [key for key, _, _ in replies(asked)] == [f"{ROBOT}{operator}/acquire"]
-
-
 ANY_VERB = [
     f"{ROBOT}first/*",
     f"{ROBOT}*/*",
@@ -325,14 +314,6 @@ def test_no_wildcard_reaches_a_command_by_accident(bench: Bench, key: str) -> No
     bench.drain()
     assert bench.got == []
     assert replies(asked) == []
-
-
-def test_a_deleted_key_is_an_empty_request(bench: Bench) -> None:
-    """A Zenoh delete of a drive is nothing that could move a robot; of a stop it is one."""
-    bench.asker.delete(f"{ROBOT}first/drive")
-    bench.asker.delete(f"{ROBOT}op/stop")
-    bench.settle()
-    assert [(one.verb, one.size) for one in bench.wait_for(2)] == [("stop", 0), ("drive", 0)]
 
 
 def test_it_is_found_through_the_telemetry_session() -> None:
