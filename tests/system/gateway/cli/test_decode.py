@@ -21,14 +21,6 @@ def decode(text: bytes | str, *flags: str) -> tuple[int, list[dict[str, Any]], s
     return done.returncode, [json.loads(line) for line in done.stdout.splitlines()], done.stderr.decode()
 
 
-def test_the_command_reads_standard_input_to_its_end() -> None:
-    """One object a line, blank lines and a missing last line end are fine; exit code 0; coarse is said once."""
-    code, records, errors = decode(f"{GEAR}\n\n{GEAR}\r\n{GEAR}")
-    assert code == 0
-    assert [record["name"] for record in records] == ["Auto_GearFeedBack"] * 3
-    assert errors.count("coarse") == 1
-
-
 def test_a_line_that_is_not_candumps_makes_the_result_partial() -> None:
     """Any bytes at all end with exit code 3 and no traceback, and the lines around them are still decoded."""
     noise = bytes(range(256)) * 1000

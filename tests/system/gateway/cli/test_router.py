@@ -51,25 +51,6 @@ def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "role"), [("list", TransportRole.OPERATOR), ("record", TransportRole.RECORDER)]
-)
-def test_who_is_not_let_in_learns_which_file_is_wrong(tmp_path: Path, command: str, role: TransportRole) -> None:
-    """Zenoh says that nobody is there, whatever it is; the files are looked at."""
-    network = Network(tmp_path, free_endpoint().replace("tcp", "tls"))
-    place = network.node(role, "ann")
-    further: tuple[str | Path, ...] = {"record": ("--out", tmp_path / "logs")}.get(command, ())
-    words = ("--zenoh-config", place / f"{role.value}.json5", *further)
-    code, text = said(*words, command=command)
-    assert code == 4
-    assert f"nobody at {network.endpoint} lets this machine in: " in text
-    key = place / f"{role.value}-tls.key"
-    key.unlink()
-    code, text = said(*words, command=command)
-    assert (code, text.count("\n")) == (2, 1), text
-    assert f"{key} is not there; 'cruiser provision {role.value} NAME --replace' makes another" in text
-
-
-@pytest.mark.parametrize(
     ("robot", "says"),
     [
         ("cruiser-1", "cruiser-1: NOT STOPPED: NOTHING WAS SENT. Use the button on the robot"),

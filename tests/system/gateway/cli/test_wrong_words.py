@@ -63,6 +63,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     *[(f"demo --seconds {one}", USAGE, "--seconds") for one in ("0", "-1", "nan", "x")],
     *[(f"demo --seconds {one}", USAGE, "must be from 20 to 86400") for one in ("5", "19", "1e6")],
     ("demo --out /proc/nowhere", FAILURE, "/proc/nowhere"),
+    ("demo --out {here}/none.pem", FAILURE, "cannot write in {here}/none.pem: Not a directory"),
     (f"{DEMO} --robots 0", USAGE, "no whole number from 1 to 64"),
     (f"{DEMO} --endpoint tcp/0.0.0.0:0", USAGE, "can be reached from other machines"),
     (f"{DEMO} --endpoint here", USAGE, "here"),

@@ -5,8 +5,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.cli.drive import (
-    BEGIN_MIN_NS,
-    BEGIN_NS,
     BINDINGS,
     BURST_STROKES,
     LONGEST,
@@ -73,38 +71,37 @@ def test_what_begins_a_sequence_and_does_not_go_on_is_a_key() -> None:
     assert decoder.feed(b"") == []
 
 
-def repeating_w() -> HeldKeys:
+HELD = [(0, ["w"]), (500, ["w"])]
+BURST = ["w"] * BURST_STROKES
+STALLED = [*HELD, *((at_ms, ["w"]) for at_ms in range(1200, 2600, 20))]
+Reads = list[tuple[int, list[str]]]
+TYPED: dict[str, tuple[Reads, int, Wish]] = {
+    "a tap may be a mistake, and nobody would tell its end": ([(0, ["w"])], 0, NOTHING),
+    "pasted text is read at one time": ([(0, ["w"] * 50)], 0, NOTHING),
+    "no keyboard repeats as soon as two taps": ([(0, ["w"]), (149, ["w"])], 149, NOTHING),
+    "what comes long after is a new stroke": ([(0, ["w"]), (801, ["w"])], 801, NOTHING),
+    "a key that repeats": (HELD, 699, FORWARD),
+    "and whose next repetition does not come in time": (HELD, 700, NOTHING),
+    "or comes": ([*HELD, (590, ["w"]), (680, ["w"])], 879, FORWARD),
+    "from straight on to a curve: the new key may be a tap": ([*HELD, (510, ["u"])], 510, NOTHING),
+    "until it repeats itself": ([*HELD, (510, ["u"]), (800, ["u"])], 800, Wish(1, 1)),
+    **{f"any other key stops, {key!r}": ([*HELD, (501, [key])], 501, NOTHING) for key in ("", "space", "h", "a")},
+    "a burst after a stall was typed long ago": ([*HELD, (1200, BURST)], 1200, NOTHING),
+    "so were pieces of one": ([*HELD, *((at_ms, ["w"] * 3) for at_ms in (1200, 1220, 1240))], 1240, NOTHING),
+    "and strokes that go on as if it were held: nobody knows": (STALLED, 2580, NOTHING),
+    "until it is let go, and pressed again": ([*STALLED, (3100, ["w"]), (3600, ["w"])], 3600, FORWARD),
+    "some strokes of a burst are old, however short the pause": ([*HELD, (699, BURST)], 699, NOTHING),
+}
+
+
+@pytest.mark.parametrize("name", TYPED)
+def test_the_motion_asked_for_is_that_of_the_held_key(name: str) -> None:
+    """Each read has a time in ms and its keys; the wish is that of a time."""
+    reads, at_ms, wish = TYPED[name]
     keys = HeldKeys()
-    keys.receive(["w"], START_NS - 500 * MS)
-    keys.receive(["w"], START_NS)
-    return keys
-
-
-@pytest.mark.parametrize(
-    "reads",
-    [
-        pytest.param([(0, 1)], id="a tap may be a mistake, and nobody would tell its end"),
-        pytest.param([(0, 50)], id="pasted text is read at one time"),
-        pytest.param([(0, 1), (BEGIN_MIN_NS - 1, 1)], id="no keyboard repeats as soon as two taps"),
-        pytest.param([(0, 1), (BEGIN_NS + 1, 1)], id="what comes long after is a new stroke"),
-    ],
-)
-def test_strokes_that_are_no_repetition_move_nothing(reads: list[tuple[int, int]]) -> None:
-    """Each read has a time and a number of strokes."""
-    keys = HeldKeys()
-    for after_ns, strokes in reads:
-        keys.receive(["w"] * strokes, START_NS + after_ns)
-        assert keys.wish(START_NS + after_ns) == NOTHING
-
-
-def test_a_key_that_repeats_moves_until_shortly_after_its_last_repetition() -> None:
-    """Motion ends when no repetition comes in time."""
-    keys = repeating_w()
-    for step in range(5):
-        keys.receive(["w"], START_NS + step * 90 * MS)
-    last_ns = START_NS + 4 * 90 * MS
-    assert keys.wish(last_ns + REPEAT_NS - 1) == FORWARD
-    assert keys.wish(last_ns + REPEAT_NS) == NOTHING
+    for read_ms, read in reads:
+        keys.receive(read, START_NS + read_ms * MS)
+    assert keys.wish(START_NS + at_ms * MS) == wish
 
 
 @pytest.mark.parametrize(("key", "wish"), [*BINDINGS.items()])
@@ -117,49 +114,6 @@ def test_every_key_drives_by_itself_and_ends_as_soon(key: str, wish: Wish) -> No
     keys.receive([key], last_ns)
     assert keys.wish(last_ns + REPEAT_NS - 1) == wish
     assert keys.wish(last_ns + REPEAT_NS) == NOTHING
-
-
-def test_another_key_stops_until_it_repeats_itself() -> None:
-    """From straight on to a curve: what was held before says nothing of the new key, which may be a tap."""
-    keys = repeating_w()
-    keys.receive(["u"], START_NS + 10 * MS)
-    assert keys.wish(START_NS + 10 * MS) == NOTHING
-    keys.receive(["u"], START_NS + 300 * MS)
-    assert keys.wish(START_NS + 300 * MS) == Wish(1, 1)
-
-
-@pytest.mark.parametrize("key", ["", "space", "h", "a"])
-def test_any_other_key_stops(key: str) -> None:
-    """What was held must be pressed again."""
-    keys = repeating_w()
-    keys.receive([key], START_NS + MS)
-    assert keys.wish(START_NS + MS) == NOTHING
-
-
-@pytest.mark.parametrize("pieces", [[BURST_STROKES], [3, 3, 3], [1] * 20, [BURST_STROKES - 1, 1, 1]])
-def test_strokes_of_before_a_stall_move_nothing(pieces: list[int]) -> None:
-    """A link that stalls delivers at once what was typed long ago; then a key must be let go and pressed again."""
-    keys = repeating_w()
-    now_ns = START_NS + 700 * MS
-    for strokes in pieces:
-        keys.receive(["w"] * strokes, now_ns)
-        assert keys.wish(now_ns) == NOTHING
-        now_ns += 20 * MS
-    # Still held, or so it seems: nobody knows whether these are of now.
-    for _ in range(50):
-        keys.receive(["w"], now_ns)
-        assert keys.wish(now_ns) == NOTHING
-        now_ns += 30 * MS
-    keys.receive(["w"], now_ns + 500 * MS)
-    keys.receive(["w"], now_ns + 1000 * MS)
-    assert keys.wish(now_ns + 1000 * MS) == FORWARD
-
-
-def test_a_burst_ends_motion() -> None:
-    """Also where the pause before it was short: some of its strokes are old."""
-    keys = repeating_w()
-    keys.receive(["w"] * BURST_STROKES, START_NS + REPEAT_NS - 1)
-    assert keys.wish(START_NS + REPEAT_NS - 1) == NOTHING
 
 
 def test_keys_that_do_not_drive_are_told() -> None:

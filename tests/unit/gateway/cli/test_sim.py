@@ -140,17 +140,6 @@ class FakeBus:
         pass
 
 
-def test_a_can_bus_is_a_link() -> None:
-    """One wait, then what is there already; what was read is read once."""
-    frames = [Frame(number, b"", 5) for number in range(3)]
-    bus = FakeBus(*frames)
-    link = CanBusLink(bus)
-    link.wait(0.01)
-    assert bus.timeouts_s == [0.01, 0.0, 0.0, 0.0]
-    assert link.read(0, 0, lambda _text: "") == frames
-    assert link.read(0, 0, lambda _text: "") == []
-
-
 def test_a_flooded_can_bus_leaves_the_chassis_its_turn() -> None:
     """However much comes in, reading ends, and nothing is lost."""
     bus = FakeBus(*[Frame(0x123, b"")] * 1000)
