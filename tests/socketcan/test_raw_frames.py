@@ -20,7 +20,6 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
-FOREIGN: Final = 500
 HEARD: Final = 500
 """Frames of the chassis, in a second."""
 
@@ -35,13 +34,6 @@ def only_chassis(tmp_path: Path) -> list[str]:
     path = tmp_path / "cruiser.toml"
     path.write_text("[can]\nraw_frames = false\n", encoding="ascii")
     return ["--config", str(path)]
-
-
-def foreigners(vcan: Vcan) -> None:
-    """Frames of an identifier of nobody's, and one that differs from one of the chassis's in its kind alone."""
-    command = ["cangen", vcan.name, "-g", "0", "-n", str(FOREIGN), "-e", "-I", "0AA", "-L", "8"]
-    subprocess.run(command, check=True, timeout=100)
-    send(vcan.name, 0x18C4D1EF & 0x7FF, bytes(8))
 
 
 def asking(path: Path, channel: str) -> list[int]:
@@ -59,35 +51,6 @@ def test_raw_frames_have_the_kernels_receive_times(vcan: Vcan, candump: Candump)
         heard.wait(lambda: len(heard.raw) == len(candump.frames))
     published = [(frame.wall_ns // 1000, frame.identifier, frame.data) for frame in heard.raw]
     assert published == [tuple(frame) for frame in candump.frames]
-
-
-def test_with_raw_frames_whatever_is_on_the_bus_is_counted(vcan: Vcan) -> None:
-    """And published."""
-    endpoint = free_endpoint()
-    with gateway(vcan.name, endpoint), hearing(endpoint, "gateway/health", "can/can0/rx") as heard:
-        foreigners(vcan)
-        health = heard.wait_healthy(lambda health: health.frames == FOREIGN + 1)
-        assert health.unknown_identifiers == {"000000AA": FOREIGN, "1EF": 1}
-        heard.wait(lambda: len(heard.raw) == FOREIGN + 1)
-
-
-def test_without_raw_frames_the_chassis_alone_is_heard(vcan: Vcan, only_chassis: list[str]) -> None:
-    """The kernel keeps the others from the gateway."""
-    endpoint = free_endpoint()
-    with (
-        gateway(vcan.name, endpoint, *only_chassis),
-        hearing(endpoint, "gateway/health", "can/can0/rx") as heard,
-    ):
-        foreigners(vcan)
-        with chassis(vcan.name):
-            foreigners(vcan)
-            heard.wait_healthy(lambda health: health.frames > HEARD)
-            foreigners(vcan)
-        health = heard.wait_healthy(lambda health: health.frames_per_s == 0)
-        assert health.unknown_identifiers == {}
-        assert [feedback.lost for feedback in health.feedback] == [0] * len(health.feedback)
-        assert health.frames == sum(feedback.valid for feedback in health.feedback)
-        assert heard.raw == []
 
 
 @contextmanager

@@ -249,26 +249,6 @@ def test_a_script_shows(name: str) -> None:
                 assert str(found) == expected, (step, one)
 
 
-@VARIANTS
-def test_it_reports_what_it_does(variant: Variant) -> None:
-    """In auto mode the feedback shows gear, angle, speed, wheels and pulses."""
-    rig = ChassisRig(variant)
-    rig.command("reverse", 1.0, -10.0)
-    rig.run(3)
-    gear = rig.seen["Auto_GearFeedBack"]
-    assert (gear["Active"], gear["GearPosition"]) == (True, "reverse")
-    assert rig.seen["Auto_SteeringFeedBack"]["Angle"] == pytest.approx(-10, abs=0.05)
-    assert rig.seen["Auto_DriveFeedBack"]["Speed"] == pytest.approx(1.0)
-    left, right = (rig.seen["Auto_WheelSpdFeedback"][name] for name in ("RearLeftSpeed", "RearRightSpeed"))
-    assert isinstance(left, float)
-    assert isinstance(right, float)
-    assert (left + right) / 2 == pytest.approx(-1.0, abs=0.04)
-    assert right > left, "reversing with the wheels to the right, the nose goes left"
-    pulses = rig.seen["Auto_WheelPulseFeedback"]["RearLeftPulses"]
-    assert isinstance(pulses, int)
-    assert pulses < -1000
-
-
 @pytest.mark.parametrize("example", ["gear D", "steering +24 deg", "parking apply"])
 def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> None:
     """The printed commands get the printed feedback; the counter, which the manual leaves at 0, aside."""
@@ -411,20 +391,6 @@ def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: f
             if motion.gear is not gear and motion.gear is not GearPosition.NEUTRAL:
                 direction = 1 if motion.gear is GearPosition.DRIVE else -1
                 assert speed_mps * direction > -0.011, "the gear of the other direction engaged at speed"
-
-
-def test_it_drives_a_circle() -> None:
-    """At a steering angle it comes back to where it was: radius wheelbase by tangent, left is positive."""
-    motion = moving(demand(angle_deg=20.0), 1)
-    radius_m = 0.660 / math.tan(math.radians(20))
-    highest_m = 0.0
-    yaw_rad = 0.0
-    while yaw_rad >= 0 or motion.yaw_rad < 0:
-        yaw_rad = motion.yaw_rad
-        motion.step(demand(speed_mps=1.0, angle_deg=20.0), 0.001)
-        highest_m = max(highest_m, motion.y_m)
-    assert highest_m == pytest.approx(2 * radius_m, rel=1e-3)
-    assert math.hypot(motion.x_m, motion.y_m) < 0.01
 
 
 def test_pulses_wrap_as_signed_16_bit() -> None:
