@@ -110,16 +110,6 @@ def judge(verb: str, fields: object) -> Request | PayloadFault:
     return decode_request(BY_VERB[verb], msgpack.packb(fields))
 
 
-@given(pair=commands_and_requests(), data=st.data())
-def test_a_field_of_any_value_makes_no_request_raise(pair: tuple[Command, Request], data: st.DataObject) -> None:
-    """Each field of each verb, with anything at all in it."""
-    command, request = pair
-    fields: dict[str, Any] = msgpack.unpackb(encode(request))
-    if fields:
-        fields[data.draw(st.sampled_from(sorted(fields)))] = data.draw(ANYTHING)
-    assert is_message_or_fault(command, decode_request(command, msgpack.packb(fields)))
-
-
 @pytest.mark.parametrize(
     ("verb", "field"),
     [

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from gateway.cli.main import COMMANDS, main
 from recorder.cli.review import QUESTIONS
-from schemas.arguments import add_zenoh_arguments, ending_after, seconds
+from schemas.arguments import ending_after, seconds
 from schemas.command_line import (
     GONE_WORDS,
     LINE_LENGTH,
@@ -133,17 +133,6 @@ def test_anything_else_is_not(text: str) -> None:
     """Zero, less than zero, infinity and words are refused."""
     with pytest.raises(argparse.ArgumentTypeError, match="seconds above 0"):
         seconds(text)
-
-
-def test_flags_set_the_settings_that_they_name() -> None:
-    """--connect may be repeated, and each flag's name is the setting's dotted key."""
-    parser = argparse.ArgumentParser()
-    add_zenoh_arguments(parser)
-    assert vars(parser.parse_args(["--connect", "a", "--connect", "b", "--root", "lab"])) == {
-        "zenoh.connect": ["a", "b"],
-        "zenoh.config": None,
-        "robot.root": "lab",
-    }
 
 
 def test_an_end_comes_with_the_signal_or_with_the_time() -> None:

@@ -15,8 +15,6 @@ from schemas.configuration import (
     TomlSource,
     merge,
     to_toml,
-    write_key,
-    write_value,
 )
 from schemas.settings import (
     DOWNSAMPLING,
@@ -306,22 +304,3 @@ def test_what_is_no_profile_of_an_interface_is_an_error(wrong: str) -> None:
     """At the start, in one line."""
     with pytest.raises(CommandError, match=r"zenoh\.profiles"):
         merge(TomlSource("", f'[zenoh]\nprofiles = ["{wrong}"]\n'), {}, {})
-
-
-# TOML.
-
-
-SCALARS = TEXTS | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.booleans()
-VALUES = SCALARS | st.lists(SCALARS) | st.dictionaries(TEXTS, SCALARS)
-
-
-@given(value=VALUES)
-def test_a_written_value_reads_back_equal(value: object) -> None:
-    """Whatever is written as TOML, tomllib reads back as it was, control characters and quotes included."""
-    assert tomllib.loads(f"key = {write_value(value)}") == {"key": value}
-
-
-@given(key=TEXTS)
-def test_a_written_key_reads_back_equal(key: str) -> None:
-    """A key that is not bare is quoted, so that every text can be a key."""
-    assert tomllib.loads(f"{write_key(key)} = 1") == {key: 1}

@@ -79,5 +79,5 @@ def test_a_request_that_is_understood_is_valid_under_its_schema(
     fields: dict[str, Any] = msgpack.unpackb(encode(request))
     name = data.draw(st.sampled_from([*fields, "novelty"]))
     fields[name] = data.draw(ANYTHING)
-    if not VALIDATORS[command.schema_name].is_valid(fields):
-        assert isinstance(decode_request(command, msgpack.packb(fields)), PayloadFault)
+    answer = decode_request(command, msgpack.packb(fields))
+    assert VALIDATORS[command.schema_name].is_valid(fields) or isinstance(answer, PayloadFault)

@@ -9,10 +9,8 @@ from schemas.messages import Variant
 from schemas.requests import Leased
 from schemas.subjects import (
     BY_DBC_MESSAGE,
-    BY_VERB,
     COMMANDS,
     SUBJECTS,
-    Asking,
     Subject,
 )
 
@@ -47,16 +45,6 @@ def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
         "safety/event": 1000,
         "authority/statement": 64,
     }
-
-
-def test_the_verbs_are_those_of_the_contract() -> None:
-    """All are queries with a typed reply but drive, a stream of puts; a stop is taken either way."""
-    assert set(BY_VERB) == {
-        *("acquire", "renew", "release", "take", "engage", "disengage", "stop", "reset"),
-        *("park", "unpark", "light", "horn", "clear_odometer", "reset_odometry", "drive"),
-    }
-    asking = {command.verb: command.asking for command in COMMANDS if command.asking is not Asking.QUERY}
-    assert asking == {"stop": Asking.EITHER, "drive": Asking.PUT}
 
 
 def test_only_who_may_have_no_lease_needs_none() -> None:
