@@ -116,10 +116,7 @@ class SpeedMeter:
         return self.way.distance_m
 
     def add(self, time_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
-        """Add a sample; its speed is None where the robot does not know it.
-
-        Returns the length of the way since the sample before, in metres; None for a sample that does not count.
-        """
+        """Add a sample; return the way since the one before in metres, None for one that does not count."""
         before_ns, before_mps = self.last_ns, self._last_mps
         if before_ns is not None and before_ns - CLOCK_STEP_NS < time_ns <= before_ns:
             return None
@@ -197,13 +194,7 @@ class RecordedDrive(msgspec.Struct):
 
 
 class Outage(msgspec.Struct, frozen=True):
-    """The log has no arbiter of one gateway any more, and no other yet.
-
-    Attributes:
-        heard_ns: when a message of the arbiter was last received.
-        began_ns: when the first one of another arbiter was received; None if the log holds none.
-        is_commanding: the chassis was under command in the last message.
-    """
+    """The time from the last message of a gateway's arbiter to the first of another one; None if there is none."""
 
     heard_ns: int
     began_ns: int | None

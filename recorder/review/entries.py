@@ -74,10 +74,7 @@ class RobotClock:
         return self._tick is not None and not is_same_run(tick, self._tick)
 
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
-        """Add a state of the arbiter; states are never queried later.
-
-        Returns a sentence about a change of the clock; empty if there is none.
-        """
+        """Add a state of the arbiter; return a sentence about a change of the clock, empty if there is none."""
         self.corrected_ns = 0
         if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
             return ""
@@ -124,10 +121,7 @@ class RobotClock:
         return f"the robot's clock is {seconds:.1f} s {way} the recorder's; the times here are the recorder's"
 
     def place(self, publish_ns: int, log_ns: int, tick: int | None = None) -> int:
-        """Return the recorder's time of an event that the robot dates ``publish_ns``, received at ``log_ns``.
-
-        Never later than the receipt.
-        """
+        """Return the recorder's time of what the robot dates ``publish_ns``; never later than the receipt."""
         set_ns = 0 if tick is None else self._set_by(publish_ns, log_ns, tick)
         return min(publish_ns + self.offset_ns - set_ns, log_ns)
 
@@ -282,10 +276,7 @@ class Risen(msgspec.Struct, frozen=True):
 
 
 def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
-    """Return the faults that are new since the message before.
-
-    Without one before, of the same run, these are the faults of now.
-    """
+    """Return the faults that are new since the message before; without one of the same run those of now."""
     yield from _bus(before, now)
     # Of all frames together, since a cable that is pulled out silences all of them.
     were = {} if before is None else {frame.name: frame.failures for frame in before.feedback}
@@ -395,12 +386,7 @@ NAMES_MAX: Final = 30
 
 
 class SequenceHole(msgspec.Struct, frozen=True):
-    """Samples that are not in the log.
-
-    Attributes:
-        after_ns: when the last one before them was.
-        before_ns: when the first one behind them was.
-    """
+    """Samples that are not in the log: their number, and when the last before and the first behind them were."""
 
     count: int
     after_ns: int

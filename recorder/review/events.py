@@ -121,12 +121,7 @@ def read_events(
 
 
 class LogEnding(msgspec.Struct, frozen=True):
-    """A notable end of a robot's log.
-
-    Attributes:
-        is_silent: the gateway fell silent, and the log continues; else the log ends.
-        is_commanding: the chassis was under command in the gateway's last message.
-    """
+    """A notable end of a robot's log: the gateway fell silent (``is_silent``), or the log ends."""
 
     entry: Entry
     is_silent: bool
@@ -148,10 +143,8 @@ class RobotTrack:
 
     Attributes:
         name: empty for what is no robot's.
-        state: the arbiter's newest; when it was (``state_ns``) and was received (``state_log_ns``), and its
-            ``state_sequence``; its run was heard first at ``run_since_ns``.
+        state: the arbiter's newest; its run was heard first at ``run_since_ns``.
         ended_tick: the tick of the last announcement of a shutdown; None if there was none.
-        health: the newest; ``health_ns``, when it was.
         is_shared: two gateways speak under its name.
         steps: after each tick at which the computer's clock was set back, by how much it has been in all.
         hung: from when to when the gateway's loop stood still last.

@@ -136,12 +136,11 @@ class Explainer:
         ends = [one.time_ns for one in (self.story.last_stop(), *died[-1:]) if one is not None]
         return self.at(max(ends, key=self.story.order_ns, default=self._end_ns))
 
-    def window(self, at_ns: int, what: str = "that moment", detail: str = "") -> EvidenceWindow:
-        """Read the window around a moment, which these words name, and of which the arbiter said this."""
+    def window(self, at_ns: int) -> EvidenceWindow:
+        """Read the window around a moment."""
         limits = limits_at(at_ns, self.robot, self._configurations, self._faults)
         shift_ns, is_steady = self.story.offset_ns(at_ns), self.story.is_steady(at_ns)
         window = EvidenceWindow(self.robot, at_ns, shift_ns, limits, is_steady=is_steady)
-        window.what, window.detail = what, detail
         return read_window(window, self._logs, self._faults)
 
 
@@ -384,11 +383,9 @@ class _Answer:
 
     def _stop(self, focus: Entry, began_ns: int) -> Iterator[Link]:
         """The stop: cause, evidence, what was done, what is latched, the cure."""
-        what = "the takeover" if focus.reason is Reason.HAND_TRANSMITTER else "the stop"
-        window = self._now
-        if began_ns != window.at_ns:
-            window = self._explainer.window(began_ns)
-        window.what, window.detail = what, focus.text
+        window = self._now if began_ns == self._now.at_ns else self._explainer.window(began_ns)
+        window.what = "the takeover" if focus.reason is Reason.HAND_TRANSMITTER else "the stop"
+        window.detail = focus.text
         who = focus.operator if focus.operator not in focus.text else ""
         by = "" if not who else f", by {who}" if focus.reason in ASKED_BY else f"; {who} held it"
         yield Link(Step.CAUSE, f"{focus.text}{by}", focus.time_ns, {"reason": focus.reason.value})

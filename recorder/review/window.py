@@ -67,12 +67,7 @@ class Step(Enum):
 
 
 class Link(msgspec.Struct, frozen=True):
-    """A link.
-
-    Attributes:
-        time_ns: when it was, in nanoseconds since 1970; None where it is of no one time.
-        data: its numbers, with the units in their names.
-    """
+    """A link; ``data`` are its numbers, with the units in their names. It may be of no one time."""
 
     step: Step
     text: str
@@ -157,12 +152,7 @@ class Heard(msgspec.Struct, Generic[Said], frozen=True):
 
 
 class DecodedFrame(msgspec.Struct, frozen=True):
-    """A raw frame of the chassis. Times are nanoseconds since 1970.
-
-    Attributes:
-        time_ns: when the arbiter was given it.
-        bus_ns: when the bus had it.
-    """
+    """A raw frame of the chassis: when the arbiter was given it (``time_ns``), and the bus had it."""
 
     time_ns: int
     identifier: int
@@ -275,11 +265,7 @@ class EvidenceWindow:
         self._seen: set[tuple[str, int, int, bytes]] = set()
 
     def take(self, row: Row) -> None:
-        """A row of one of the classes that are wanted.
-
-        Raises:
-            what ``recorder.reading.topics.UNREADABLE`` lists.
-        """
+        """A row of one of the classes that are wanted."""
         kind, decode = row.topic.kind, row.topic.decode
         one = (row.topic.name, row.publish_ns, row.sequence, row.data)
         if kind is None or decode is None or one in self._seen:

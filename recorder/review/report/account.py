@@ -36,11 +36,7 @@ _PACKAGE: Final = "versions."
 
 
 class Versions:
-    """Gathers gateways' own descriptions, and a recorder's notes of them, in any order.
-
-    Attributes:
-        left_out: number of descriptions for which there was no room.
-    """
+    """Gathers gateways' own descriptions, and a recorder's notes of them, in any order."""
 
     def __init__(self) -> None:
         self._told: dict[tuple[int, str], InForce] = {}

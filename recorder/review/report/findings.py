@@ -67,13 +67,7 @@ class Span(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True):
-    """A position of the robot.
-
-    Attributes:
-        x_m: forward, as it stood at first; ``y_m`` left.
-        heading_deg: from x to y.
-        begins: the path before it is broken off.
-    """
+    """A position of the robot: forward (x) and left (y) as it stood at first; with ``begins`` a piece begins."""
 
     time_ns: int
     x_m: float
@@ -251,11 +245,7 @@ class DrivenPath:
 
 
 class Why(msgspec.Struct, frozen=True):
-    """The reason of a stop, as ``cruiser review why --at`` words it.
-
-    Attributes:
-        links: time since the stop, time of day, step and sentence of each.
-    """
+    """The reason of a stop, as ``why`` words it: of each link time since the stop, time of day, step, sentence."""
 
     headline: str
     links: list[tuple[str, str, str, str]]
