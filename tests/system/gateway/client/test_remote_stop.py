@@ -1,15 +1,11 @@
-import argparse
 from typing import Any
 
 import pytest
 
-from gateway.cli import stop
 from gateway.client import remote_stop
 from gateway.client.robot import stop_all
-from gateway.zenoh.client import PendingQuery
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
-from schemas.command_line import ExitCode
 from schemas.reasons import Reason
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.peer import free_endpoint
@@ -48,21 +44,6 @@ def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
     with FakeFleet(400) as fleet, TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy:
         report = stop_all("first", settings_for(proxy.endpoint), 3)
     assert (report.linked, report.counted) == (True, False)
-
-
-def test_who_may_be_missing_makes_a_stop_partial(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A robot stops, and whether it is the only one was not answered: exit code 3, and a line that says so."""
-    monkeypatch.setattr(CommandPort, "call_roll", lambda _port, _timeout_s: PendingQuery())
-    with FakeRobot() as fake:
-        parser = argparse.ArgumentParser()
-        stop.add_arguments(parser)
-        arguments = parser.parse_args(["--all", "--timeout", "3"])
-        assert stop.run(arguments, fake.there, lambda: False) == ExitCode.PARTIAL
-    captured = capsys.readouterr()
-    assert captured.out == f"{fake.name}: stops, latched until a reset\n"
-    assert captured.err == "there may be more robots: who is connected was not said in time\n"
 
 
 def test_it_reaches_a_robot_that_comes_later() -> None:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable
 from contextlib import nullcontext
 from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
@@ -23,38 +24,62 @@ from tests.support.commands import run_command
 from tests.support.messages import HEALTH, ROBOT, SECOND, STANDBY, WALL_NS, safety_event
 
 
-def run(monkeypatch: pytest.MonkeyPatch, report: StopReport, *words: str) -> int:
+def report(*stopped: str, **named: Any) -> StopReport:  # noqa: ANN401 - the fields of a report
+    fields: dict[str, Any] = {"refused": {}, "unconfirmed": {}, "silent": [], "linked": True}
+    return StopReport([*stopped], **{**fields, **named})
+
+
+UNMET = Unmet(Reason.GRANT_EXPIRED, "its grant is over", "renew ROBOT")
+BUTTON = "Use the button on the robot"
+ROWS: dict[str, tuple[StopReport, ExitCode, str]] = {
+    "it stands": (report("cruiser-1"), ExitCode.OK, ""),
+    "who else is there was not said": (
+        report("cruiser-1", counted=False),
+        ExitCode.PARTIAL,
+        "there may be more robots: who is connected was not said in time",
+    ),
+    "its stop sequence does not end": (
+        report("cruiser-1", unfinished=["cruiser-1"]),
+        ExitCode.PARTIAL,
+        "cruiser-1: it stands; its stop sequence is not seen to end: 'cruiser why cruiser-1'",
+    ),
+    "an answer that is not verified: neither a stop nor silence": (
+        report(unverified={"cruiser-1": UNMET}),
+        ExitCode.PARTIAL,
+        f"cruiser-1: ITS ANSWER CANNOT BE VERIFIED: its grant is over. Cure: renew cruiser-1. {BUTTON}",
+    ),
+    "it is not seen to stand": (
+        report(unconfirmed={"cruiser-1": "it moves"}),
+        ExitCode.PARTIAL,
+        f"cruiser-1: NOT SEEN TO STOP: it moves. {BUTTON}",
+    ),
+    "a viewer who stops all may not have reached them": (
+        report(silent=["cruiser-1"], reached_all=False),
+        ExitCode.UNREACHABLE,
+        "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'. "
+        + BUTTON,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_what_came_of_a_stop_is_said_and_is_the_code(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only a robot that stands is on stdout."""
+    came, code, said = ROWS[name]
+
     def stop_from_here(*_: object, told: Callable[[StopReport], None], **__: object) -> StopReport:
-        told(report)
-        return report
+        told(came)
+        return came
 
     monkeypatch.setattr(remote_stop, "stop_from_here", stop_from_here)
-    return run_command(stop, *words)
-
-
-def test_an_answer_that_is_not_verified_is_neither_a_stop_nor_silence(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3, nothing on stdout, and a line with why it is not verified, and the cure."""
-    unmet = Unmet(Reason.GRANT_EXPIRED, "its grant is over", "renew ROBOT")
-    report = StopReport([], {}, {}, [], linked=True, unverified={"cruiser-1": unmet})
-    assert run(monkeypatch, report, "cruiser-1") == ExitCode.PARTIAL
-    said = "cruiser-1: ITS ANSWER CANNOT BE VERIFIED: its grant is over. Cure: renew cruiser-1. Use the button"
-    assert capsys.readouterr() == ("", f"{said} on the robot\n")
-
-
-def test_a_viewer_who_stops_all_learns_that_it_may_not_have_reached_them(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With the command that does."""
-    report = StopReport([], {}, {}, ["cruiser-1"], linked=True, reached_all=False)
-    with pytest.raises(CommandError, match="nobody answered") as error:
-        run(monkeypatch, report, "--all")
-    assert error.value.code is ExitCode.UNREACHABLE
-    assert capsys.readouterr().err == (
-        "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'. "
-        "Use the button on the robot\n"
-    )
+    try:
+        found = run_command(stop, "--all")
+    except CommandError as error:
+        found = error.code
+    stands = "cruiser-1: stops, latched until a reset\n" if came.stopped else ""
+    assert (found, *capsys.readouterr()) == (code, stands, f"{said}\n" if said else "")
 
 
 def test_events_are_dated_by_the_robots_clock(

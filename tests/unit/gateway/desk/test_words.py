@@ -1,12 +1,9 @@
 """What a browser may say, and what waits for it: a slow one gets the newest."""
 
-from contextlib import suppress
 from typing import Any
 
 import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gateway.desk import words
 from gateway.desk.words import (
@@ -61,27 +58,6 @@ def test_what_is_not_of_its_form_is_refused(change: dict[str, Any]) -> None:
     """No key expression can be made of it that names more than one robot, one operator, one verb."""
     with pytest.raises(msgspec.ValidationError):
         said({**ASK, **change})
-
-
-@given(st.binary(max_size=300))
-def test_no_bytes_raise_anything_else(data: bytes) -> None:
-    """Whatever comes over the WebSocket is read, or refused."""
-    with suppress(msgspec.DecodeError, msgspec.ValidationError):
-        words.decode(data)
-
-
-_VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
-    max_leaves=12,
-)
-
-
-@given(st.dictionaries(st.sampled_from([*ASK, "statement", "question", "x"]), _VALUES, max_size=8))
-def test_no_map_raises_anything_else(message: dict[str, Any]) -> None:
-    """Of the right names with any values."""
-    with suppress(msgspec.DecodeError, msgspec.ValidationError):
-        said(message)
 
 
 ROW = RobotRow(0, "ready", "", "", 0.0, 1.0, None, 0, "", 0)
