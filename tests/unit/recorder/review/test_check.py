@@ -401,17 +401,6 @@ def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int) -> None:
     check(MAGIC + noise)
 
 
-def test_an_index_in_another_order_is_right() -> None:
-    """As others may write it."""
-
-    def change(record: records.McapRecord) -> records.McapRecord:
-        if isinstance(record, records.MessageIndex):
-            record.records.reverse()
-        return record
-
-    assert check(rebuilt(change)).findings == []
-
-
 def test_many_findings_are_counted_and_the_first_are_told() -> None:
     """Output does not grow with the damage."""
     findings = Findings("x")
@@ -658,15 +647,6 @@ def test_a_gap_is_told_with_what_is_around_it(
 ) -> None:
     """None is missing where another gateway began."""
     assert gaps_of(messages) == gaps
-
-
-def test_messages_that_follow_each_other_are_one_run() -> None:
-    """Memory grows with the gaps alone."""
-    frames, woven = InTimeCount(), InTimeCount()
-    add(frames, [(number // 3, number) for number in range(900)])
-    add(woven, [one for number in range(300) for one in ((number, number), (1000 + number, 10_000 + number))])
-    assert [(run.first, run.last) for run in frames.runs()] == [(0, 299)]
-    assert [(run.first, run.last) for run in woven.runs()] == [(0, 299), (1000, 1299)]
 
 
 def ends(first: int, last: int, start: int = 0) -> ChannelEnds:

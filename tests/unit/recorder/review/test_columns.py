@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 from mcap import records
 
 from recorder.encoding.protobuf import LOGGED, message_class, schema_name
-from recorder.mcap.framing import MAGIC
 from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Selection
@@ -29,7 +28,7 @@ from recorder.reading.topics import topic_of, typed_decoder
 from recorder.review.columns import Batch, ColumnReader, columns_of
 from recorder.review.export import values
 from schemas.messages import Gear, Message, RawSample
-from tests.support.logs import channel_of, encoded, numbered_log, small_log
+from tests.support.logs import channel_of, encoded, numbered_log
 from tests.support.messages import WALL_NS, gear
 from tests.support.strategies import message_of
 
@@ -126,15 +125,6 @@ def test_only_what_is_wanted_is_read() -> None:
     assert [row["sequence"] for row in rows_of(batches_of(data, None, selection))] == [11, 13, 15, 17, 19]
     assert not batches_of(data, None, Selection(from_ns=5, to_ns=5))
     assert not batches_of(data, None, Selection(from_ns=-5, to_ns=-1))
-
-
-@given(st.binary(max_size=200), st.integers(0, 10_000))
-def test_noise_never_raises(noise: bytes, place: int) -> None:
-    """In place of a file's bytes, or of the file."""
-    data = small_log()
-    place = len(MAGIC) + place % (len(data) - len(MAGIC))
-    batches_of(data[:place] + noise + data[place + len(noise) :], Faults())
-    batches_of(MAGIC + noise, Faults())
 
 
 # Topics of others.

@@ -18,14 +18,13 @@ from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
 from gateway.command.rulings import Credentials
-from recorder.disk.files import lock
 from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
 from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
 from recorder.record.signed_mode import LogSigner
 from recorder.review.verify import RobotProofReport, verify_logs
-from recorder.review.verifying import OPEN, UNSIGNED, ProofFault
+from recorder.review.verifying import UNSIGNED, ProofFault
 from schemas import keys
 from schemas.authority.key_files import Identity
 from schemas.authority.proof import GrantRole, chain_text
@@ -149,15 +148,6 @@ def test_a_byte_of_a_file_that_was_changed_is_found(tmp_path: Path) -> None:
     (report,) = verify_logs(find_logs([log], faults), faults, [FLEET.trust])
     assert CHANGED in faults_of(report)
     assert report.is_broken
-
-
-def test_a_file_that_is_being_written_proves_nothing_yet(tmp_path: Path) -> None:
-    """And says so in other words than one that nobody signed."""
-    log = saved(tmp_path / "log.mcap", log_of(SAMPLES))
-    assert words_of(verified_files([log], FLEET.trust)) == UNSIGNED
-    with log.open("rb") as stream:
-        assert lock(stream.fileno())
-        assert words_of(verified_files([log], FLEET.trust)) == OPEN
 
 
 # What a run says: given what happens in its last second, what is found.

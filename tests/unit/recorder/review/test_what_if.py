@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.reading.logs import Faults, LogFile, find_logs
+from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import settings_from
-from recorder.review import what_if as module
 from recorder.review.rerun import RerunPlayer, RerunResult
 from recorder.review.tasks import HERE
 from recorder.review.what_if import (
-    FOLLOWS_NS,
     STOP_TOLERANCE_NS,
     StopMade,
     StopsCompared,
@@ -164,12 +162,3 @@ def test_a_task_gives_what_its_log_holds(tmp_path: Path) -> None:
     for is_own, results in found.items():
         assert [result.robot for result in results] == ["cruiser-1", "cruiser-2"]
         assert [result.differs_ns is None for result in results] == [is_own, is_own]
-
-
-@pytest.mark.parametrize(("apart_ns", "count"), [(FOLLOWS_NS, 1), (FOLLOWS_NS + 1, 2)])
-def test_files_that_follow_each_other_are_one_log(apart_ns: int, count: int) -> None:
-    """A run goes on over what a recorder asks the gateway for later, and not over more."""
-    spans = [(5, 5000), (10, 20), (5000 + apart_ns, 2 * FOLLOWS_NS + 5000)]
-    robots = frozenset({("fleet", "cruiser-1")})
-    files = [LogFile(Path(str(number)), 1, *span, robots) for number, span in enumerate(spans)]
-    assert len(list(module._joined(files))) == count
