@@ -145,70 +145,53 @@ ILL = health(
 )
 SILENT = health(feedback=frames(failures=["silence"]), faults={"silence": 2})
 
-Told = tuple[str, int, tuple[str, ...], bool, Severity]
+CHECKSUMS = "warning 3x this: frames with a wrong checksum"
+NO_BUS = "error 1x: the CAN bus can0 is not there"
 
-
-def new(text: str, count: int = 1, about: tuple[str, ...] = (), severity: Severity = Severity.WARNING) -> Told:
-    """A fault."""
-    return text, count, about, False, severity
-
-
-def over(text: str, count: int = 1, about: tuple[str, ...] = (), severity: Severity = Severity.INFO) -> Told:
-    """What is known to be over."""
-    return text, count, about, True, severity
-
-
-THIS = (FRAME.name,)
-
-HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[Told]]] = [
+HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (ILL, ILL, []),
     (None, WELL, []),
-    (WELL, health(faults={"period": 5}), [new("frames came irregularly", 5)]),
-    (WELL, health(feedback=frame(checksum_faults=3)), [new("frames with a wrong checksum", 3, THIS)]),
-    (WELL, health(feedback=frame(failures=["silence"])), [new("silent", 1, THIS)]),
-    (WELL, health(inbox_drops=5), [new("requests were dropped unread: too many came", 5)]),
-    (
-        WELL,
-        health(bus_up=False, bus_detail="no such device"),
-        [new("the CAN bus can0 is not there: no such device", severity=Severity.ERROR)],
-    ),
+    (WELL, health(faults={"period": 5}), ["warning 5x: frames came irregularly"]),
+    (WELL, health(feedback=frame(checksum_faults=3)), [CHECKSUMS]),
+    (WELL, health(feedback=frame(failures=["silence"])), ["warning 1x this: silent"]),
+    (WELL, health(inbox_drops=5), ["warning 5x: requests were dropped unread: too many came"]),
+    (WELL, health(bus_up=False, bus_detail="no such device"), [f"{NO_BUS}: no such device"]),
     (
         WELL,
         health(controller=ControllerState.PASSIVE),
-        [new("the CAN controller: unknown before, passive now")],
+        ["warning 1x: the CAN controller: unknown before, passive now"],
     ),
-    (WELL, health(variant=Variant.FINE), [over("the firmware variant: coarse before, fine now")]),
-    (health(bus_up=False), WELL, [over("the CAN bus can0 is back")]),
-    (health(feedback=frame(failures=["period"])), WELL, [over("no longer at fault (period)", 1, THIS)]),
+    (WELL, health(variant=Variant.FINE), ["over info 1x: the firmware variant: coarse before, fine now"]),
+    (health(bus_up=False), WELL, ["over info 1x: the CAN bus can0 is back"]),
+    (health(feedback=frame(failures=["period"])), WELL, ["over info 1x this: no longer at fault (period)"]),
     # Counts of before a log's beginning are none of its.
-    (
-        None,
-        ILL,
-        [new("the CAN bus can0 is not there", severity=Severity.ERROR), new("checksums fail", 1, THIS)],
-    ),
+    (None, ILL, [NO_BUS, "warning 1x this: checksums fail"]),
     # The sum over all frames is left out where a frame tells.
     (
         WELL,
         health(faults={"checksum": 3, "length": 1}, feedback=frame(checksum_faults=3)),
-        [new("frames with a wrong checksum", 3, THIS), new("faults of frames: length")],
+        [CHECKSUMS, "warning 1x: faults of frames: length"],
     ),
-    (health(feedback=frames()), SILENT, [new("silent", 2, NAMES)]),
+    (health(feedback=frames()), SILENT, ["warning 2x both: silent"]),
     # What was only late is counted once it has come, and so may have been lost long before.
     (
         SILENT,
         health(feedback=frames(lost=50), faults={"silence": 2}),
-        [over("no longer at fault (silence)", 2, NAMES), over("missing frames", 100, NAMES, Severity.WARNING)],
+        ["over info 2x both: no longer at fault (silence)", "over warning 100x both: missing frames"],
     ),
 ]
+ABOUT = {(): "", (FRAME.name,): " this", NAMES: " both"}
 
 
 @pytest.mark.parametrize(("before", "now", "told"), HEALTHS)
 def test_two_healths_tell_what_went_wrong_between_them(
-    before: GatewayHealth | None, now: GatewayHealth, told: list[Told]
+    before: GatewayHealth | None, now: GatewayHealth, told: list[str]
 ) -> None:
     """Once, with its count and the frames that it is about, and nothing else."""
-    found = risen(before, now)
-    assert [(one.text, one.count, one.about, one.is_end, one.severity) for one in found] == told
+    assert [
+        f"{'over ' * one.is_end}{one.severity.value} {one.count}x{ABOUT[one.about]}: {one.text}"
+        for one in risen(before, now)
+    ] == told
 
 
 # Stops.

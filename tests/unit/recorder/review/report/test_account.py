@@ -21,7 +21,7 @@ from recorder.review.report.account import (
     Account,
     Versions,
 )
-from recorder.review.report.findings import Drawn, InForce, RobotReport, RobotSummary
+from recorder.review.report.findings import InForce, RobotReport, RobotSummary
 from recorder.review.report.gather import read_report
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import GatewayInfo, Message, Mode, Variant
@@ -53,19 +53,15 @@ def row_of(message: Message, log_ns: int) -> Row:
 def summed_up(
     *messages: Message,
     off_ns: int = 0,
-    late: Sequence[tuple[int, Message]] = (),
     spans: Sequence[tuple[int, int]] = (),
     to_ns: int = END_OF_TIME_NS,
 ) -> RobotReport:
-    """Of messages that were received when they were sent, by a clock that is so much ahead; then of late ones.
-
-    They stand in logs that go from and to these times, read up to ``to_ns``.
-    """
+    """Of messages that were received when they were sent, by a clock that is so much ahead."""
     account = Account("cruiser-1", "fleet/cruiser-1")
     timeline = Timeline(Faults())
-    for log_ns, message in [*((message.time_ns + off_ns, message) for message in messages), *late]:
-        account.take(message, message.time_ns, log_ns)
-        timeline.take(row_of(message, log_ns), message)
+    for message in messages:
+        account.take(message, message.time_ns, message.time_ns + off_ns)
+        timeline.take(row_of(message, message.time_ns + off_ns), message)
     logs = [LogFile(Path("log.mcap"), 1, *span, frozenset({("fleet", "cruiser-1")})) for span in spans]
     for ending in timeline.endings(logs, to_ns):
         account.end(ending)
@@ -79,12 +75,6 @@ def summed_up(
 def summary_of(*messages: Message) -> RobotSummary:
     """In figures."""
     return summed_up(*messages).summary
-
-
-def charts_of(*messages: Message) -> Drawn:
-    """Over time."""
-    (drawn,) = summed_up(*messages).drawn
-    return drawn
 
 
 def test_who_drives_is_told_by_mode_and_lease() -> None:
@@ -102,7 +92,7 @@ def test_what_was_asked_for_is_drawn_while_it_holds() -> None:
     """The state repeats the last command while the robot is stopped; nobody asks for that any more."""
     was = {5: ArbiterState.STOPPING, 6: ArbiterState.STOPPING, 7: ArbiterState.ENGAGING}
     messages = [arbiter(number, state=was.get(number, ArbiterState.ENGAGED)) for number in range(12)]
-    lines = charts_of(*messages).lines
+    lines = summed_up(*messages).drawn[0].lines
     for line in ("target_speed_mps", "target_angle_deg"):
         drawn = [None if point is None else (point[0] - WALL_NS) // PERIOD_NS for point in lines[line]]
         assert drawn == [0, 1, 2, 3, 4, None, 8, 9, 10, 11]
