@@ -154,23 +154,17 @@ def test_all_see_who_sees_to_an_alarm() -> None:
         assert told(browser, words.DeskRows)[0].rows["cruiser-1"].acknowledged == "cat"
 
 
-def test_of_a_robot_that_is_not_there_nothing_is_kept() -> None:
-    """Whoever makes names up fills no memory, and takes the room of no robot that is there."""
-    scene = Scene()
-    browser = scene.hub.join()
-    scene.say(browser, **{"is": "acknowledge"}, robot="made-up", word="needs_reset", operator="bob")
-    assert [one.fault for one in told(browser, words.DeskRefused)] == ["no robot made-up is heard"]
-
-
 def test_what_cannot_be_done_is_said() -> None:
-    """A verb that is none, too many questions, bytes that are no message: one line each, and nothing goes out."""
+    """One line each, and nothing goes out: no verb, no message, too many questions, a robot that is not there."""
     scene = Scene()
     browser = scene.hub.join()
     scene.port.is_over = False
     verb = {"is": "ask", "robot": "cruiser-1", "operator": "ann", "payload": b"q", "attachment": b""}
     scene.say(browser, number=1, verb="fly", **verb)
     scene.hub.receive(browser, b"\xc1")
-    assert next(one.fault for one in told(browser, words.DeskRefused)) == "there is no verb 'fly'"
+    scene.say(browser, **{"is": "acknowledge"}, robot="made-up", word="needs_reset", operator="bob")
+    faults = [one.fault for one in told(browser, words.DeskRefused)]
+    assert (len(faults), faults[0], faults[2]) == (3, "there is no verb 'fly'", "no robot made-up is heard")
     for number in range(QUESTIONS_MAX + 1):
         scene.say(browser, number=number, verb="renew", **verb)
     scene.say(browser, number=0, verb="renew", **verb)
@@ -298,6 +292,10 @@ def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
     scene.step()
     assert [one.full for one in told(browser, words.DeskRows)] == [True]
     assert [one.full for one in told(scene.hub.join(), words.DeskRows)] == [True]
+    # Also where no row changes.
+    scene.listener.waiting.append(received(STATE, "stranger"))
+    scene.step()
+    assert [(one.full, one.rows) for one in told(browser, words.DeskRows)] == [(True, {})]
     scene.step(seconds=11)
     assert [one.full for one in told(browser, words.DeskRows)] == [False]
 
@@ -317,18 +315,6 @@ def test_that_zenoh_is_gone_and_back_is_told_once(seen: tuple[Message, ...]) -> 
         assert linked or [row and row.word for row in rows.rows.values()] == ["offline"] * bool(seen)
         scene.step()
         browser.outbox.take()
-
-
-def test_a_robot_that_is_not_shown_is_told_where_no_row_changes() -> None:
-    """Those that are shown are as before."""
-    full = Scene()
-    full.listener.waiting += [received(STATE, f"robot-{number}") for number in range(BOUNDS.robots)]
-    full.step()
-    browser = full.hub.join()
-    browser.outbox.take()
-    full.listener.waiting.append(received(STATE, "stranger"))
-    full.step()
-    assert [(one.full, one.rows) for one in told(browser, words.DeskRows)] == [(True, {})]
 
 
 @pytest.mark.parametrize("robot", ["*", "**", "c$*", "../x", "cruiser-1/x", "@adv"])

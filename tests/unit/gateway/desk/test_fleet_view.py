@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from gateway.choice import CHASSIS
-from gateway.client.fleet import ALARM, FINE, LOOK, RobotStatus
+from gateway.client.fleet import FINE, LOOK, WORDS, RobotStatus
 from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView, row_of, why_not
 from gateway.desk.words import RecorderRow, RobotRow
 from gateway.telemetry.samples import Missed, TokenChange
@@ -188,49 +188,34 @@ def safety(**change: object) -> SafetyState:
     return msgspec.structs.replace(READY, **change)
 
 
-@pytest.mark.parametrize(
-    ("state", "arbiter", "word", "level"),
-    [
-        (AUTO, READY, "ready", FINE),
-        (AUTO, safety(lease_holder="ann"), "in_control", FINE),
-        (AUTO, safety(state=ArbiterState.ENGAGED, lease_holder="ann", blocked_by=[]), "in_control", FINE),
-        (
-            msgspec.structs.replace(AUTO, speed_mps=-0.4),
-            safety(state=ArbiterState.ENGAGED, lease_holder="ann", blocked_by=[]),
-            "driving",
-            FINE,
-        ),
-        (AUTO, safety(state=ArbiterState.STOPPING, stop_phase=StopPhase.RAMP), "stopping", LOOK),
-        (AUTO, safety(blocked_by=[Reason.NO_LEASE, Reason.FEEDBACK_MISSING]), "blocked", LOOK),
-        (msgspec.structs.replace(AUTO, mode=Mode.REMOTE), READY, "remote_control", LOOK),
-        (AUTO, safety(latched=[Reason.FRONT_BUMPER]), "needs_reset", ALARM),
-        (
-            msgspec.structs.replace(AUTO, mode=Mode.REMOTE),
-            safety(state=ArbiterState.STOPPING, latched=[Reason.FRONT_BUMPER]),
-            "needs_reset",
-            ALARM,
-        ),
-        (msgspec.structs.replace(AUTO, bus_up=False), safety(latched=[Reason.GUARD]), "bus_down", ALARM),
-        (None, READY, "offline", ALARM),
-        (AUTO, None, "telemetry", FINE),
-    ],
-)
+DRIVEN = {"state": ArbiterState.ENGAGED, "lease_holder": "ann", "blocked_by": []}
+HIT = {"latched": [Reason.FRONT_BUMPER], "blocked_by": [Reason.FRONT_BUMPER, Reason.NO_LEASE]}
+Changes = dict[str, object]
+WORST: list[tuple[Changes | None, Changes | None, str, list[str]]] = [
+    ({}, {}, "ready", []),
+    ({}, {"lease_holder": "ann"}, "in_control", []),
+    ({}, DRIVEN, "in_control", []),
+    ({"speed_mps": -0.4}, DRIVEN, "driving", []),
+    ({}, {"state": ArbiterState.STOPPING, "stop_reason": Reason.DEADMAN}, "stopping", ["deadman"]),
+    ({}, {"blocked_by": [Reason.NO_LEASE, Reason.FEEDBACK_MISSING]}, "blocked", ["feedback_missing"]),
+    ({"mode": Mode.REMOTE}, {}, "remote_control", ["hand_transmitter"]),
+    ({}, HIT, "needs_reset", ["front_bumper"]),
+    ({"mode": Mode.REMOTE}, {**HIT, "state": ArbiterState.STOPPING}, "needs_reset", ["front_bumper"]),
+    ({"bus_up": False}, {"latched": [Reason.GUARD]}, "bus_down", ["bus_down"]),
+    (None, {}, "offline", []),
+    ({}, None, "telemetry", []),
+]
+
+
+@pytest.mark.parametrize(("state", "arbiter", "word", "reasons"), WORST)
 def test_the_worst_of_a_robot_is_its_word(
-    state: RobotState | None, arbiter: SafetyState | None, word: str, level: int
+    state: Changes | None, arbiter: Changes | None, word: str, reasons: list[str]
 ) -> None:
-    """Silence before a bus that is down, that before a latch, a latch before all that moves."""
-    row = row_of(report(state, arbiter), None)
-    assert (row.word, row.level) == (word, level)
+    """Silence before a bus that is down, that before a latch, a latch before all that moves; with its reasons."""
+    said = None if state is None else msgspec.structs.replace(AUTO, **state)
+    row = row_of(report(said, None if arbiter is None else safety(**arbiter)), None)
+    assert (row.word, row.level, row.reasons) == (word, WORDS[word], reasons)
     assert row.text
-
-
-def test_a_row_has_its_reasons_for_pages_in_other_languages() -> None:
-    """Those of its word alone; none where nothing is wrong."""
-    latched = safety(latched=[Reason.FRONT_BUMPER], blocked_by=[Reason.FRONT_BUMPER, Reason.NO_LEASE])
-    assert row_of(report(AUTO, latched), None).reasons == ["front_bumper"]
-    blocked = safety(blocked_by=[Reason.NO_LEASE, Reason.FEEDBACK_MISSING])
-    assert row_of(report(AUTO, blocked), None).reasons == ["feedback_missing"]
-    assert row_of(report(AUTO, READY), None).reasons == []
 
 
 def test_a_robot_without_health_is_looked_at() -> None:
