@@ -92,6 +92,11 @@ DRIVES: dict[str, tuple[list[Message], list[str]]] = {
 """What these robots say in it."""
 
 ROWS = r"""
+== a time that is not in the logs is one clear error, for an empty answer would look like one [whole.mcap]
+2$ events whole.mcap --from 5 --to 3 => no time between
+2$ events whole.mcap --from 1000 => hold nothing of that time
+2$ events whole.mcap --to 1999-01-01T00:00:00Z => hold nothing of that time
+2$ events whole.mcap --from noon => is no time
 == where there is no journal there was nothing to run [whole.mcap]
 3$ rerun whole.mcap => no journal
 == a sound log is no finding, and its frames are counted [whole.mcap]

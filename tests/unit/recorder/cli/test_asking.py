@@ -1,49 +1,55 @@
-"""Which logs and which time a question is about."""
+"""The common part of questions: names, a terminal, a stop."""
 
-import argparse
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import pytest
 
-from recorder.cli.asking import Asked, add_logs, add_period, find
+from gateway.cli.main import main
+from recorder.cli.asking import progress_bar
 from schemas.command_line import CommandError, ExitCode
-from schemas.settings import Settings
-from tests.support.logs import small_log
-from tests.support.messages import WALL_NS
+from tests.support.commands import review
+from tests.support.logs import Log, gears, own_log, saved
+from tests.support.messages import FakeSample
 
 
-def ask(*words: str) -> Asked:
-    parser = argparse.ArgumentParser()
-    add_logs(parser)
-    add_period(parser)
-    return find(parser.parse_args(words), Settings(), lambda: False)
+def test_a_directory_of_many_robots_is_told_of_some(
+    tmp_path: Path, cut: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By their names; the total is of these, and so is the exit code. Without names it shows the first of them."""
+    for number in range(1, 16):
+        log = Log()
+        log.receive(FakeSample(f"fleet/depot-{number}/state", "x", b""))
+        saved(tmp_path / f"{number}.mcap", log.close())
+    saved(tmp_path / cut.name, cut.read_bytes())
+    assert review("info", str(tmp_path), "--robot", "depot-1*", "--robot", "depot-2") == ExitCode.OK
+    *lines, total, _, robots = capsys.readouterr().out.splitlines()
+    assert len(lines) == 8
+    assert total.startswith("8 files, 8 of them whole")
+    assert robots == "  8 robots: depot-1, depot-2, depot-10, depot-11, depot-12, depot-13, depot-14, depot-15"
+    assert review("info", str(tmp_path)) == ExitCode.PARTIAL
+    assert capsys.readouterr().out.splitlines()[-1].endswith("depot-11 and 4 more")
+    with pytest.raises(CommandError, match="nothing of depot-3\\?, but of cruiser-1, depot-1, ") as refused:
+        review("info", str(tmp_path), "--robot", "depot-3?")
+    assert refused.value.code is ExitCode.USAGE
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> str:
-    path = tmp_path / "log.mcap"
-    path.write_bytes(small_log())
-    return str(path)
+def test_a_terminal_may_lack_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are escaped."""
+    stream = BytesIO()
+    monkeypatch.setattr("sys.stdout", TextIOWrapper(stream, "latin-1"))
+    log = saved(
+        tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[("cruiser.recorder", {"name": "\u901f"})])
+    )
+    assert main(["review", "info", str(log.rename(tmp_path / "\u901f.mcap"))]) == ExitCode.OK
+    assert rb"\u901f.mcap: whole" in stream.getvalue()
 
 
-def test_without_times_all_is_asked_about(log: str) -> None:
-    """From the first log time to the last."""
-    asked = ask(log)
-    assert asked.start_ns == WALL_NS
-    assert asked.from_ns <= asked.start_ns <= asked.end_ns < asked.to_ns
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--from", "5", "--to", "3"], "no time between"),
-        (["--from", "1000"], "hold nothing of that time"),
-        (["--to", "1999-01-01T00:00:00Z"], "hold nothing of that time"),
-        (["--from", "noon"], "is no time"),
-    ],
-)
-def test_a_time_that_is_not_in_the_logs_is_one_clear_error(log: str, words: list[str], message: str) -> None:
-    """An empty answer would look like one."""
-    with pytest.raises(CommandError, match=message) as raised:
-        ask(log, *words)
-    assert raised.value.code is ExitCode.USAGE
+def test_whoever_is_told_to_stop_stops_reading() -> None:
+    """At the next bytes that are read."""
+    asked_to = [False, True]
+    with progress_bar("reading", 100, lambda: asked_to.pop(0)) as progress:
+        progress(1)
+        with pytest.raises(KeyboardInterrupt):
+            progress(1)
+    assert not asked_to
