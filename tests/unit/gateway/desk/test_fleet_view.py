@@ -188,9 +188,9 @@ def safety(**change: object) -> SafetyState:
     return msgspec.structs.replace(READY, **change)
 
 
-DRIVEN = {"state": ArbiterState.ENGAGED, "lease_holder": "ann", "blocked_by": []}
-HIT = {"latched": [Reason.FRONT_BUMPER], "blocked_by": [Reason.FRONT_BUMPER, Reason.NO_LEASE]}
 Changes = dict[str, object]
+DRIVEN: Changes = {"state": ArbiterState.ENGAGED, "lease_holder": "ann", "blocked_by": []}
+HIT: Changes = {"latched": [Reason.FRONT_BUMPER], "blocked_by": [Reason.FRONT_BUMPER, Reason.NO_LEASE]}
 WORST: list[tuple[Changes | None, Changes | None, str, list[str]]] = [
     ({}, {}, "ready", []),
     ({}, {"lease_holder": "ann"}, "in_control", []),
