@@ -198,7 +198,6 @@ BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
 IDENTIFIERS: Final = {frame.name: identifier for identifier, frame in BY_IDENTIFIER.items()}
 
 BODY: Final = IDENTIFIERS["Auto_MileageAndBodyFeedback"]
-WHEELS: Final = IDENTIFIERS["Auto_WheelSpdFeedback"]
 DRIVE: Final = IDENTIFIERS["Auto_DriveFeedBack"]
 
 

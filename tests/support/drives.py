@@ -121,11 +121,6 @@ def write_messages(
     return path
 
 
-def undecodable(robot: str = "cruiser-1") -> FakeSample:
-    """A sample of a key of ours that is no message."""
-    return FakeSample(f"fleet/{robot}/state", "text/plain", b"?")
-
-
 def drives_over(days: int, count: int, periods: int = 60) -> list[Message]:
     """So many drives, which a bumper ends, in the course of so many days; nobody records the rest between."""
     apart = days * 24 * 3600 * SECOND // PERIOD_NS // count

@@ -29,7 +29,6 @@ from tests.support.messages import MS, SECOND, WALL_NS
 from tests.support.reading import entry as entry_at
 
 STEP_NS = 50 * MS
-DAY_NS = 24 * 3600 * SECOND
 
 
 def moved(speeds: Sequence[float | None], start_ns: int = 0) -> SpeedMeter:

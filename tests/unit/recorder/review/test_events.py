@@ -138,9 +138,6 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
     assert "the disk did not take or keep them" in entries[0].text
 
 
-HOUR = 360_000
-"""In ticks."""
-
 RUNS = {"A": FIRST_TICK, "B": 5}
 DRIVEN: dict[str, Any] = {"state": ArbiterState.ENGAGED, "engaged": True, "output_speed_mps": 0.8}
 

@@ -31,9 +31,7 @@ from tests.support.rigs.gateway import WALL_NS
 from tests.support.rigs.recorded import RecordedRig, ask, ask_of, texts
 from tests.support.rigs.scenarios import ENDED, GONE, NOTE, SCENARIOS, Scenario, logs_of, recorded
 
-HOUR_NS = 3600 * SECOND
 DAY_TICKS = 2500
-NORMAL = {Reason.DEADMAN, Reason.LEASE_TAKEN, Reason.LEASE_RELEASED, Reason.DISENGAGED, Reason.LEASE_EXPIRED}
 LATCHING = {
     *(Reason.FRONT_BUMPER, Reason.REAR_BUMPER, Reason.REMOTE_STOP, Reason.IMPLAUSIBLE_SPEED, Reason.GUARD),
     *(Reason.ROLLING, Reason.NOT_MOVING, Reason.FEEDBACK_FROZEN, Reason.STEERING),

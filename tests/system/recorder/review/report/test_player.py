@@ -18,7 +18,6 @@ from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.long
 
-BEGIN = "2027-01-15T08:00:00.000Z"
 DEADLINE_MS = 120_000
 PHONE = {"width": 390, "height": 844}
 

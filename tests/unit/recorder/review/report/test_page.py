@@ -43,10 +43,8 @@ from recorder.review.report.page import (
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Message, Mode
 from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
-from tests.support.messages import MS, PERIOD_NS, WALL_NS, arbiter, event, gateway_info, refusal, state
+from tests.support.messages import MS, PERIOD_NS, arbiter, event, gateway_info, refusal, state
 from tests.support.reading import report_of
-
-STEP_NS = 50 * MS
 
 
 def series_of(*samples: tuple[int, float], limit: int = 1500) -> list[Point | None]:
@@ -161,9 +159,6 @@ def test_the_verdict(report: Report, changes: dict[str, Any], said: str) -> None
     """Distance, drives, stops by cause, normal ends."""
     (robot,) = changed(report, **{"ends_commanding": False} | changes).robots
     assert verdict(robot) == said
-
-
-NOTHING = Drawn(WALL_NS, WALL_NS, None, {}, {}, [], [], [])
 
 
 def drawn_of(robot: RobotReport) -> dict[str, Any]:
