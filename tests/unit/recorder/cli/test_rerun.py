@@ -21,7 +21,9 @@ def day() -> Day:
     day.rig.run(0.6)
     operator = Operator(day.rig)
     operator.engage()
-    operator.drive(1.0, 0.0, 2.0)
+    operator.drive(1.0, 0.0, 1.0)
+    day.rig.run(0.2)
+    operator.drive(1.0, 0.0, 3.0)
     day.rig.run(4)
     return day
 
@@ -39,13 +41,35 @@ OTHERWISE = (
     " on: drive of first accepted, bound by ",
 )
 
+RECORDED = "recorded: 4.03 m in 5.10 s, at most 1.00 m/s, 1 stops"
+
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         ((), ("cruiser-1, run ", "the same, byte for byte", "different: 0")),
-        (("--set", "command.speed_limit_mps=0.4"), (*OTHERWISE, " 0.40 m/s", "recorded: ", "stops: the same")),
-        (("--set", "command.deadman_s=0.5"), ("0 of ", "stops: 1 moved, the first at ", "(deadman)")),
+        (
+            ("--set", "command.speed_limit_mps=0.4"),
+            (
+                *OTHERWISE,
+                "200 of 204 decisions",
+                "1.67 m in 4.60 s, at most 0.40 m/s",
+                RECORDED,
+                "stops: the same",
+            ),
+        ),
+        (("--set", "command.deadman_s=0.5"), ("0 of 204 decisions", "4.29 m", "stops: 1 moved, the first at ")),
+        # By the pause that the recorded run bore.
+        (
+            ("--set", "command.deadman_s=0.1"),
+            (
+                "150 of 204",
+                "drive of first refused",
+                RECORDED,
+                "stops: 1 avoided, the first at ",
+                "; 1 added, the",
+            ),
+        ),
         (("--set", "command.speed_limit_mps=1.5"), ("with the same settings: 0 of ", "stops: the same")),
     ],
 )
