@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import os
 import socket
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import obstore
 import pytest
@@ -26,9 +27,32 @@ from schemas.settings import RecorderSettings, Settings, UploadSettings
 from tests.support.commands import run_command
 from tests.support.fakes.peer import free_endpoint
 from tests.support.logs import gears, own_log, saved
-from tests.support.processes.s3_server import BUCKET, s3_server
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import recorded
+from tests.support.waiting import wait_until
+
+PROGRAM: Final = os.environ.get("S3_SERVER", "")
+
+BUCKET: Final = "fleet-logs"
+
+
+@contextmanager
+def s3_server(port: int, scratch: Path) -> Iterator[None]:
+    """The server on a port of the loopback, with an empty bucket."""
+    words = [PROGRAM, "-backend", "memory", "-host", f"127.0.0.1:{port}", "-initialbucket", BUCKET]
+    with (scratch / "s3.log").open("ab") as said, subprocess.Popen(words, stdout=said, stderr=said) as server:
+        try:
+            wait_until(lambda: _answers(port))
+            yield
+        finally:
+            server.kill()
+
+
+def _answers(port: int) -> bool:
+    with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+        return True
+    return False
+
 
 SMALL = "cruiser-1-20270115T080000Z.mcap"
 LARGE = "cruiser-1-20270115T090000Z.mcap"

@@ -174,11 +174,6 @@ def of(samples: Sequence[Message], kind: type[Message]) -> list[int]:
     return [place for place, one in enumerate(samples) if type(one) is kind]
 
 
-def without(samples: Sequence[Message], *places: int) -> list[Message]:
-    """The samples, but for some."""
-    return [one for place, one in enumerate(samples) if place not in places]
-
-
 def replaced(samples: Sequence[Message], place: int, **changes: Any) -> list[Message]:  # noqa: ANN401 - fields
     return [
         msgspec.structs.replace(one, **changes) if number == place else one for number, one in enumerate(samples)

@@ -197,6 +197,7 @@ def stops(page: Page, address: str) -> None:
     page.locator(".reason dl").first.wait_for()
 
 
+@pytest.mark.night
 @pytest.mark.parametrize(
     ("look", "theme", "language"),
     every_value((home, stops), ("light", "dark"), ("en-GB", "zh-CN")),
