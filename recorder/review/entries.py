@@ -19,7 +19,7 @@ from typing import Final
 
 import msgspec
 
-from schemas.decisions import GUARD_STOP_ENDED, Severity, is_same_run
+from schemas.decisions import GUARD_STOP_ENDED, EventKind, Severity, is_same_run
 from schemas.messages import ControllerState, Count, GatewayHealth, TimeNs
 from schemas.reasons import AS_ASKED, Reason
 from schemas.requests import Tick
@@ -160,6 +160,9 @@ class EntryKind(Enum):
     CLOCK = "clock"
     END = "end"
 
+
+OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}
+"""Of a newer version there may be others."""
 
 STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 """Entries that end the command of the robot, though no client asked for that."""

@@ -23,6 +23,7 @@ from recorder.review.entries import (
     DROPPED,
     IDS_KEPT,
     NEAR_NS,
+    OF_EVENT,
     Entry,
     EntryKind,
     EntrySource,
@@ -379,7 +380,7 @@ class Timeline:
         robot.count(row, event.tick, time_ns)
         entry = _entry(
             robot.name,
-            kind_of(EntryKind(event.kind.value), event.reason),
+            kind_of(OF_EVENT.get(event.kind, EntryKind.FAULT), event.reason),
             time_ns,
             event.text,
             severity=event.severity,
