@@ -19,6 +19,9 @@ SERVICES: Final = {
     "desk": "desk 127.0.0.1",
     "metrics": "viewer fleet",
 }
+BESIDE: Final = {"desk": "desk.json5", "metrics": "viewer.json5"}
+"""Services that setup leaves alone, and the Zenoh file of each."""
+
 ZENOHD: Final = os.environ.get("ROBOT_ZENOHD", "")
 """Zenoh's own router, if it shall be the one, by the drop-in of the package."""
 
@@ -26,6 +29,17 @@ DROP_IN: Final = "/etc/systemd/system/cruiser-router.service.d"
 KEYS: Final = "/var/lib/tester"
 OPERATOR: Final = "/etc/systemd/system/box-operator.service.d"
 WELL: Final = "standing, feedback complete, guarded, recording, authority valid until "
+
+
+def install_beside(box: Box) -> None:
+    """Give desk and exporter their certificates, as docs/install.md says of a depot."""
+    for service, file in BESIDE.items():
+        bundle, keys = f"/run/{service}.bundle", f"/etc/cruiser/{service}"
+        box.run(f"install -m 0644 /run/box/{service}.bundle {bundle}")
+        box.run(f"runuser -u cruiser-{service} -- cruiser provision install {bundle} --directory {keys}")
+        zenoh = f'config = "{keys}/{file}"'
+        box.run(f"sed -i '/^connect/d; s|^\\[zenoh\\]|&\\n{zenoh}|' /etc/cruiser/{service}.toml")
+        box.run(f"systemctl enable --now cruiser-{service}")
 
 
 def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
@@ -56,11 +70,13 @@ def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
     fleet.sign(box.share / "operator.request", "--speed-limit", "0.8")
 
     begun_s = time.monotonic()
-    words = " ".join(f"--bundle {service}.bundle" for service in SERVICES) + f" --fingerprint {fleet.fingerprint}"
+    bundles = " ".join(f"--bundle {service}.bundle" for service in SERVICES if service not in BESIDE)
+    words = f"{bundles} --fingerprint {fleet.fingerprint}"
     said = box.run(f"cd /run/box && cruiser setup --defaults {words}", timeout_s=300)
     scene.say("setup, signed", f"{time.monotonic() - begun_s:.0f} s: {said.splitlines()[-1]}")
     assert said.splitlines()[-1].startswith(WELL), said
     assert not outside.told
+    install_beside(box)
     box.run(f"cruiser provision install /run/box/operator.bundle --directory {KEYS}")
     settings = f"[Service]\\nEnvironment=CRUISER_CONFIG={KEYS}/operator.toml\\n"
     box.run(f"mkdir {OPERATOR}; printf '{settings}' >{OPERATOR}/signed.conf")
