@@ -112,7 +112,7 @@ def test_a_stop_is_found_explained_and_reported(address: str, running_browser: B
         assert f"#t={STOP}" in report.url
         assert report.evaluate("window.origin") == "null"
         page.goto(f"{address}logs.html#/logs?search=stops&reason=bumper")
-        page.get_by_role("alert").filter(has_text="invalid choice: 'bumper'").wait_for()
+        page.get_by_role("alert").filter(has_text="there is no reason 'bumper'").wait_for()
 
 
 def test_nothing_in_a_log_or_its_name_becomes_html(address: str, running_browser: Browser) -> None:
