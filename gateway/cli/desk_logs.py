@@ -90,7 +90,9 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
         # Browsers may hold all files that this process may open, or others all processes.
         return JobDone(None, b"", f"no process can be started: {error.strerror}")
     with suppress(ProcessLookupError):
-        os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
+        # A sandbox may forbid it; the bounds below hold all the same.
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
         resource.prlimit(process.pid, resource.RLIMIT_DATA, (JOB_BYTES, JOB_BYTES))
         processor_s = max(1, int(seconds))
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (processor_s, processor_s + int(END_S)))

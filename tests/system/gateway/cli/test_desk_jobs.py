@@ -44,6 +44,19 @@ def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.
     assert done.fault == "no process can be started: No such file or directory"
 
 
+def test_a_sandbox_that_forbids_priorities_gets_its_answer(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As that of the desk's unit did, where every question ended in an error of the server."""
+
+    def refuse(*_words: int) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "setpriority", refuse)
+    (tmp_path / "a.mcap").write_bytes(recorded(front_bumper))
+    assert asyncio.run(ask_review(["events", str(tmp_path)])).code == 0
+
+
 @pytest.mark.usefixtures("beside_foreign_modules")
 def test_an_answer_has_its_code_its_output_and_its_faults() -> None:
     """Those of a question that does not exist: a line that names all."""
