@@ -9,8 +9,10 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -27,6 +29,9 @@ class Forked:
 
     def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
         self._words = list(words)
+        # The fork server tells a code once: of two threads that read it, one would take its end for 255.
+        self._reading = threading.Lock()
+        self._code: int | None = None
         (out, to_out), (err, to_err) = os.pipe(), os.pipe()
         with Connection(to_out, readable=False) as stdout, Connection(to_err, readable=False) as stderr:
             self._process = _CONTEXT.Process(
@@ -45,16 +50,26 @@ class Forked:
     @property
     def returncode(self) -> int | None:
         """The exit code, or the negative number of the signal that ended it; None while it runs."""
-        return self._process.exitcode
+        # Another thread that waits for it reads the code.
+        if self._code is None and self._reading.acquire(blocking=False):
+            try:
+                self._code = self._process.exitcode
+            finally:
+                self._reading.release()
+        return self._code
 
     def poll(self) -> int | None:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
         """Wait for the end. Returns the exit code."""
-        self._process.join(timeout)
-        code = self.returncode
-        if code is None:
+        if self._reading.acquire(timeout=-1 if timeout is None else timeout):
+            try:
+                self._process.join(timeout)
+                self._code = self._process.exitcode
+            finally:
+                self._reading.release()
+        if (code := self._code) is None:
             raise subprocess.TimeoutExpired(["cruiser", *self._words], timeout or 0.0)
         return code
 
@@ -71,7 +86,8 @@ class Forked:
 
     def send_signal(self, number: int) -> None:
         if self.poll() is None:
-            os.kill(self.pid, number)
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, number)
 
     def terminate(self) -> None:
         self.send_signal(signal.SIGTERM)
