@@ -58,6 +58,7 @@ MACHINES: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 TAGS: Final = (
     "manylinux_2_34",
     "manylinux_2_28",
+    "manylinux_2_24",
     "manylinux_2_17",
     "manylinux2014",
     "manylinux_2_12",
