@@ -39,7 +39,6 @@ from tests.support.provisioning import ProvisionedFleet
 from tests.support.provisioning import run as provision
 from tests.support.waiting import wait_until
 
-
 DESK_ENDED = ("ERR_CONNECTION_REFUSED", "Connection closed before receiving a handshake response")
 """What the browser itself writes to the console when a test ends the desk: before, or while, the page connects."""
 
@@ -145,8 +144,8 @@ def speed_mps(page: Page) -> float:
 def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, context: BrowserContext) -> None:
     """Of a robot that is driven by somebody else; it stands latched until somebody resets it here."""
     page, other = open_robot(context, scene), open_robot(context, scene)
-    # Below 0.05 m/s no feedback has shown that the robot moves, so a stop could not be confirmed by measurement. A busy
-    # machine may let it stop by its deadman first.
+    # Below 0.05 m/s no feedback has shown that the robot moves, so a stop could not be confirmed by measurement. A
+    # busy machine may let it stop by its deadman first.
     for _ in range(ATTEMPTS):
         drive(scene, page)
         wait_until(lambda: speed_mps(other) > 0.1 or not scene.is_told_to_move)
