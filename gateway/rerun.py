@@ -17,7 +17,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.frame import Frame
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.command.lease import HeldLease
 from gateway.command.restart import Carried, Snapshot, restore

@@ -20,7 +20,6 @@ from typing import Any, Final, Protocol
 import msgspec
 import zenoh
 
-from recorder.encoding.routes import RAW_CHUNK
 from recorder.reading.logs import Faults
 from recorder.reading.rows import Row
 from recorder.reading.topics import UNREADABLE, Topic
@@ -28,6 +27,7 @@ from schemas import codec, keys
 from schemas.can_word import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import CanFrame, CanFrames, Message, RawSample
+from schemas.recording import RAW_CHUNK
 from schemas.settings import BATCH_MAX_FRAMES, ZenohSettings
 from schemas.subjects import COMMAND_CHUNK, Subject
 from schemas.zenoh_session import GOSSIP, close_session, is_connected, join, local_port, open_session, said_of

@@ -7,7 +7,7 @@ client of robots reaches it by accident. Its verbs stand below ``@cmd/{operator}
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 from msgspec import Meta
@@ -17,6 +17,12 @@ from schemas.messages import Count, DurationS, Message, RateHz, TimeNs, unit_key
 from schemas.requests import Request
 
 Bytes = Annotated[int, Meta(ge=0, le=2**63 - 1, extra_json_schema=unit_keyword("B"))]
+
+LOG_CHUNK: Final = "log"
+"""In a log, the topic ``{key}/log`` repeats the events of a key as text, for viewers."""
+
+RAW_CHUNK: Final = "@raw"
+"""In a log, the topic ``{key}/@raw`` holds samples that could not be decoded: viewers want a schema a topic."""
 
 
 class RecorderState(Enum):

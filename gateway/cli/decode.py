@@ -39,7 +39,7 @@ from gateway.chassis.frame import (
     Frame,
 )
 from gateway.chassis.layout import CHECKSUM, Decoded, FrameDecoder
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.messages import Variant
 from schemas.settings import Settings

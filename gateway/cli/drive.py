@@ -27,7 +27,7 @@ from rich.live import Live
 from rich.panel import Panel
 from rich.text import Text
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.cli.operator_arguments import (
     add_robot_arguments,
     add_take_arguments,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import BusClaim, ReconnectingBus, describe, open_bus
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.cli.shut_out import why_away, why_shut_out
 from gateway.command.restart import Carried
 from gateway.core import Core

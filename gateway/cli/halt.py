@@ -15,7 +15,7 @@ from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.open_bus import describe, open_bus
 from gateway.chassis.frame import Frame
 from gateway.chassis.supervision import VariantDetector
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.core import CONFIGURED_VARIANT
 from gateway.guard.stopper import NOT_OBEYED, OTHER, REMOTE, STANDS, UNSEEN, Stopper
 from gateway.host.notes import NoteWriter, StopNote

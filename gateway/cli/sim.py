@@ -17,7 +17,7 @@ from gateway.can.can_bus import Bus, BusFull, BusLost
 from gateway.can.open_bus import describe, open_bus
 from gateway.can.socketcand_server import SocketcandServer
 from gateway.chassis.frame import ERROR, Frame
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.sim.body import MAX_RATE_MULTIPLIER, MIN_RATE_MULTIPLIER, NOMINAL, Conditions, StopMode
 from gateway.sim.disturbances import (
     GRAMMAR,

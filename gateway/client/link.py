@@ -18,7 +18,7 @@ from typing import Final
 import msgspec
 
 from gateway.authority.session import UNSIGNED, Unmet
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.client.fleet import (
     BY_REQUEST,
     CONTRADICTION,

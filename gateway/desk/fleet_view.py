@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.odometry import DeadReckoning
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.client.fleet import (
     FINE,
     LOOK,

@@ -30,7 +30,7 @@ from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import ReconnectingBus, open_bus
 from gateway.chassis.frame import Frame
 from gateway.chassis.port import BusView
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat, GuardStatus, Stopper
 from gateway.host.notes import NoteWriter, StopNote

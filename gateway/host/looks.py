@@ -18,7 +18,7 @@ from gateway.authority.robot_authority import Kept
 from gateway.can.can_bus import Bus, BusLost
 from gateway.can.open_bus import SOCKETCAN, open_bus
 from gateway.chassis.layout import check
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.core import Core
 from gateway.doctor.facts import BusReport, CanInterface, Credential, LogDisk, ServiceUnit
 from gateway.host.notes import StopNote

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Collection, Generator, Iterable, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from recorder.objects.address import StoreAddress, is_address
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
-from recorder.review.tasks import TaskRunner
 from schemas.command_line import CommandError, ExitCode, missing_extra, plain
 from schemas.keys import in_order
 from schemas.settings import Settings
+
+if TYPE_CHECKING:
+    from recorder.objects.address import StoreAddress
 
 JSON_HELP: Final = "print JSON"
 
@@ -41,9 +41,6 @@ BUDGET_S_PER_BYTE: Final = 1e-6
 
 LAST_NS: Final = 2**63 - 1
 """The last time that 64 bits with a sign hold, in nanoseconds since 1970; MCAP's times have no sign."""
-
-LITTLE_BYTES: Final = 4_000_000
-"""Logs that have less in all are done before another process has begun."""
 
 
 class Asked(msgspec.Struct):
@@ -86,7 +83,12 @@ def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> 
 
 def log_place(text: str) -> Path | StoreAddress:
     """A path of this machine, or an address in an object store."""
-    return StoreAddress(text) if is_address(text) else Path(text)
+    if "://" in text:
+        from recorder.objects.address import StoreAddress, is_address  # noqa: PLC0415 - only for an address
+
+        if is_address(text):
+            return StoreAddress(text)
+    return Path(text)
 
 
 def add_robots(parser: argparse.ArgumentParser) -> None:
@@ -121,31 +123,6 @@ def add_period(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
 
 
-def add_task_runner(parser: argparse.ArgumentParser) -> None:
-    """--processes and --ray: one task a log."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--processes",
-        type=_whole_number,
-        metavar="N",
-        help="logs at a time, each in a process of its own (default: one a processor, or one for little)",
-    )
-    group.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
-
-
-def task_runner(arguments: argparse.Namespace, asked: Asked) -> TaskRunner:
-    """Return the place where --processes and --ray want the tasks done."""
-    most = len(os.sched_getaffinity(0)) if asked.bytes > LITTLE_BYTES else 1
-    return TaskRunner(arguments.processes or most, arguments.ray or "")
-
-
-def _whole_number(text: str) -> int:
-    with suppress(ValueError):
-        if (number := int(text)) > 0:
-            return number
-    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
-
-
 def find(
     arguments: argparse.Namespace,
     settings: Settings,
@@ -159,7 +136,7 @@ def find(
     if getattr(arguments, "ray", None):
         # Other machines do not begin where this process does.
         paths = [path.absolute() for path in paths]
-    addresses = [one for one in arguments.logs if isinstance(one, StoreAddress)]
+    addresses = [one for one in arguments.logs if not isinstance(one, Path)]
     if addresses and getattr(arguments, "ray", None):
         raise CommandError("machines of --ray have no copies of a store's logs: copy them to where all see them")
     stored = stored_logs(addresses, settings, faults, stopped) if addresses else []

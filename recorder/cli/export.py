@@ -11,18 +11,9 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.asking import (
-    Asked,
-    add_logs,
-    add_period,
-    add_task_runner,
-    end_with,
-    find,
-    needing_extra,
-    progress_bar,
-    task_runner,
-)
+from recorder.cli.asking import Asked, add_logs, add_period, end_with, find, needing_extra, progress_bar
 from recorder.cli.show import show
+from recorder.cli.spread import add_task_runner, task_runner
 from recorder.reading.rows import Progress, Selection
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings

@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from recorder.cli.asking import add_logs, add_task_runner, end_with, find, progress_bar, task_runner, worst
+from recorder.cli.asking import add_logs, end_with, find, progress_bar, worst
 from recorder.cli.show import show
+from recorder.cli.spread import add_task_runner, task_runner
 from recorder.reading.times import in_words
 from recorder.review.rerun import RerunResult
 from recorder.review.what_if import (

@@ -233,9 +233,6 @@ def _write(batch: CanFrames, template: _Template, log_ns: int, chunk: ChunkBuild
     chunk.index[channel_id].extend(places)
 
 
-RAW_CHUNK: Final = "@raw"
-"""A broken sample of a known key goes to ``{key}/@raw``: viewers want one schema per topic."""
-
 FRAMES_MAX_BYTES: Final = 1_000_000
 """FRAMES_MAX of the longest frames take less: a larger batch is not even decoded."""
 

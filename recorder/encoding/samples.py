@@ -170,8 +170,6 @@ class KeyCounters:
 
 SCHEMA_NAME: Final = "foxglove.Log"
 
-LOG_CHUNK: Final = "log"  # the last chunk of the topic
-
 LEVELS: Final = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
 _LEVEL_OF: Final = {

@@ -32,12 +32,11 @@ from mcap import records
 from msgspec import inspect
 
 from recorder.encoding.protobuf import LOGGED, descriptor_set, fields, message_class, optional_part, schema_name
-from recorder.encoding.routes import RAW_CHUNK
-from recorder.encoding.samples import LOG_CHUNK
 from recorder.mcap.summary_reader import LogSummary
 from schemas import keys
 from schemas.can_word import snake_case
 from schemas.codec import member_of
+from schemas.recording import LOG_CHUNK, RAW_CHUNK
 
 RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
 """Values of enumerations that older logs call otherwise."""

@@ -14,11 +14,11 @@ from typing import Any, Final
 import msgspec
 
 from recorder.encoding.protobuf import descriptor_set, schema_name
-from recorder.encoding.routes import RAW_CHUNK, Route
-from recorder.encoding.samples import LOG_CHUNK, SCHEMA_DATA, SCHEMA_NAME, KeyCounters
+from recorder.encoding.routes import Route
+from recorder.encoding.samples import SCHEMA_DATA, SCHEMA_NAME, KeyCounters
 from recorder.mcap.writer import LogChannel, log_time
 from schemas.keys import KEY_MAX_LENGTH
-from schemas.recording import GapReason, RecordGap
+from schemas.recording import LOG_CHUNK, RAW_CHUNK, GapReason, RecordGap
 from schemas.settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.subjects import Subject
 

@@ -23,7 +23,7 @@ from mcap import records
 from numpy.typing import NDArray
 
 from gateway.chassis.layout import MessageLayout
-from gateway.choice import CHASSIS
+from gateway.choice.frame_layouts import COMMON
 from recorder.encoding.protobuf import LOGGED, descriptor_set, schema_name
 from recorder.encoding.samples import RESTART_STEP, SCHEMA_DATA, SCHEMA_NAME, SEQUENCE_SPAN
 from recorder.mcap.arrays import Bytes, Numbers, Places
@@ -311,8 +311,7 @@ _COLUMNS: Final = ("time_ns", "identifier", "is_extended", "is_remote", "is_erro
 @cache
 def feedback_frames() -> dict[int, MessageLayout]:
     """The chassis's periodic feedback frames by identifier; all are extended."""
-    # Either variant would do: both have the same frames and cycle times.
-    return {frame.can_id & IDENTIFIER_MASK: frame for frame in CHASSIS.common.feedback if frame.period_ns}
+    return {frame.can_id & IDENTIFIER_MASK: frame for frame in COMMON.feedback if frame.period_ns}
 
 
 class FrameInfo(msgspec.Struct, frozen=True):

@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.odometry import GAP_NS, DeadReckoning
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from recorder.review.entries import Entry, EntryKind, EntrySource
 from schemas.decisions import Severity
 from schemas.messages import Odometry

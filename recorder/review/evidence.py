@@ -7,7 +7,7 @@ from enum import Enum
 from typing import Final
 
 from gateway.chassis.layout import Within
-from gateway.choice import CHASSIS
+from gateway.choice.frame_layouts import RULES
 from recorder.review.window import (
     BODY,
     BY_IDENTIFIER,
@@ -52,7 +52,7 @@ from schemas.settings import (
 Finder = Callable[[EvidenceWindow], list[Link]]
 """The window around the moment at which a reason arose to links."""
 
-_ABSURD: Final = {signal: rule.maximum for _, signal, rule in CHASSIS.rules if isinstance(rule, Within)}
+_ABSURD: Final = {signal: rule.maximum for _, signal, rule in RULES if isinstance(rule, Within)}
 
 WAITED_NS: Final = 1_000_000
 """Reading a frame takes less; one that waited for longer is reported to have waited."""

@@ -18,7 +18,7 @@ from typing import Final
 import msgspec
 
 from gateway.chassis.odometry import GAP_NS, DeadReckoning
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.rerun import what_if
 from recorder.reading.logs import Faults, LogFile, logs_of
 from recorder.reading.rows import Progress

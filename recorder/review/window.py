@@ -15,7 +15,7 @@ from typing import Any, Final, Generic, TypeVar
 import msgspec
 
 from gateway.chassis.layout import MessageLayout
-from gateway.choice import CHASSIS
+from gateway.choice import frame_layouts
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
 from recorder.reading.topics import UNREADABLE
@@ -191,7 +191,7 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
 
 BY_IDENTIFIER: Final[dict[int, MessageLayout]] = {
-    frame.can_id & IDENTIFIER_MASK: frame for frame in CHASSIS.common.messages.values()
+    frame.can_id & IDENTIFIER_MASK: frame for frame in frame_layouts.COMMON.messages.values()
 }
 """Every frame of the DBC. Both variants have the same frames and cycle times."""
 
@@ -210,7 +210,7 @@ def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str,
     """A frame's signals by name, scaled, whatever its checksum is; empty if it has not eight bytes."""
     if len(frame.data) != 8:
         return {}
-    layout = CHASSIS.layout(variant).messages[BY_IDENTIFIER[frame.identifier].name]
+    layout = frame_layouts.layout(variant).messages[BY_IDENTIFIER[frame.identifier].name]
     return {signal.name: signal.value(frame.data) for signal in layout.signals}
 
 

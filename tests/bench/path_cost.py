@@ -22,7 +22,7 @@ import cantools
 from cantools.database.can import Database
 
 from gateway.chassis.frame import Frame
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.core import Core
 from gateway.loop import LoopPorts, Reader
 from gateway.telemetry.health import Links

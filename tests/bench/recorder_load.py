@@ -25,7 +25,7 @@ import zenoh
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Value
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.core import Core
 from gateway.telemetry.health import Links
 from schemas import codec, keys

@@ -13,7 +13,7 @@ import zenoh
 from zenoh import ext
 
 from gateway.chassis.port import ChassisState
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.client.robot import Lease, Robot
 from gateway.command.flow import CommandFlow
 from gateway.command.rulings import RawRequest

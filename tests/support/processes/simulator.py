@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import can
 
 from gateway.can.socketcand_server import SocketcandServer
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.cli.sim import SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant

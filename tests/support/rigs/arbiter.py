@@ -12,7 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from gateway.chassis.port import Actuation, ChassisState
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.arbiter import Arbiter
 from gateway.command.rulings import Credentials, Event, RawRequest, Ruling, TickOutcome, VerbAnswer
 from schemas.cruiser import SPEED_TOP_MPS

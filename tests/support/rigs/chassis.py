@@ -3,7 +3,7 @@
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.sim.body import NOMINAL, Conditions
 from gateway.sim.disturbances import FaultLine, parse
 from gateway.sim.model import VirtualChassis

@@ -16,7 +16,7 @@ import msgspec
 from gateway.chassis.cruiser.frames import BRAKE_FIRST_FRAMES, MOTION_FRAMES, load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, FrameDecoder, Value
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.sim.model import VirtualChassis

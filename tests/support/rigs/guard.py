@@ -9,7 +9,7 @@ from gateway.chassis.cruiser.bursts import FrameMaker
 from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
 from gateway.chassis.port import Actuation
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat
 from gateway.sim.model import VirtualChassis

@@ -14,7 +14,7 @@ from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import ERROR, FD, Frame, GateFault
 from gateway.chassis.layout import Encoder
 from gateway.chassis.port import Actuation
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.restart import Carried, is_at_rest
 from gateway.core import Core
 from gateway.sim.body import Conditions

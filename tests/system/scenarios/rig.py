@@ -13,7 +13,7 @@ import msgspec
 
 from gateway.chassis.frame import EXTENDED, IDENTIFIER_MASK, Frame
 from gateway.chassis.port import AT_REST
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.guard.guardian import Guardian

@@ -11,7 +11,7 @@ from gateway.chassis import port
 from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT, load
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
 from gateway.chassis.layout import Encoder
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.telemetry.health import Links

@@ -18,7 +18,7 @@ from gateway import journal as module
 from gateway.chassis.frame import EXTENDED, FD, REMOTE, Frame
 from gateway.chassis.layout import Encoder, MessageDecoder, MessageLayout
 from gateway.chassis.port import Chassis
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import TickEffects
 from gateway.command.restart import Carried
 from gateway.command.rulings import RawRequest

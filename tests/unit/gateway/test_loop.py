@@ -14,7 +14,7 @@ from gateway import loop as loop_module
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Encoder
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import CommandFlow, PendingReply, TickEffects
 from gateway.command.rulings import RawRequest
 from gateway.core import Core

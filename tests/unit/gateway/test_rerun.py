@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from gateway import rerun as module
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.restart import QUIET_NS
 from gateway.core import Core
 from gateway.journal import BrokenJournalError, JournalGapError, follow, inputs_of

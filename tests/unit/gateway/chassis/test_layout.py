@@ -24,7 +24,7 @@ from gateway.chassis.layout import (
     compile_message,
     compile_signals,
 )
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from schemas.cruiser import SPEED_PLAUSIBLE_MPS, STEERING_PLAUSIBLE_DEG, dbc_text
 from schemas.messages import Variant
 from tests.support import SUPPORT

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 
 from gateway.can.can_bus import BusLost
 from gateway.chassis.frame import ERROR, Frame
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.cli.sim import CanBusLink, Inject, SimClock, SimSummary, live
 from gateway.sim.model import VirtualChassis
 from schemas.messages import Variant

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import CommandFlow
 from gateway.command.rulings import RawRequest
 from schemas.decisions import ArbiterState, Decision, Reply

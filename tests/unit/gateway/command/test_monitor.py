@@ -8,7 +8,7 @@ import pytest
 
 from gateway.chassis.cruiser.tracker import Encoders
 from gateway.chassis.port import AT_REST, Actuation, ChassisState
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.monitor import ChassisMonitor, Plausibility, exceeds, fits, fitting_scale
 from schemas.messages import GearPosition, Mode, WheelPulse
 from schemas.reasons import Reason

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.port import AT_REST
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.motion import MotionConstraints, MotionLimits, MotionProfile, Target, steering_angle_deg
 from schemas.decisions import Bound
 from schemas.messages import GearPosition, ParkingStatus

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.chassis.port import Actuation, AuxiliaryFrame, ChassisState
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.auxiliary import Auxiliary
 from gateway.command.motion import MotionLimits
 from gateway.command.output import Handover, inferred_actuation, inferred_angle_deg

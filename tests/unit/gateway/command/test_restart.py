@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import CommandFlow, PendingReply
 from gateway.command.restart import QUIET_NS, LeaseNumbers, Snapshot, restore, snapshot
 from gateway.command.rulings import RawRequest

@@ -5,7 +5,7 @@ import math
 import msgspec
 import pytest
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.client.fleet import FINE, LOOK, WORDS, RobotStatus
 from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView, row_of, why_not
 from gateway.desk.words import RecorderRow, RobotRow

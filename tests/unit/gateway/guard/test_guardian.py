@@ -16,7 +16,7 @@ from gateway.chassis.cruiser.guard_view import ChassisView
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
 from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Cause, Stopper
 from schemas.messages import GearPosition, Mode, ParkingStatus, Variant

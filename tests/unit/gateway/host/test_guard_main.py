@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.frame import Frame
 from gateway.chassis.port import Actuation
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat, Cause, GuardStatus, StopOutcome
 from gateway.host.guard_main import Heartbeat, run

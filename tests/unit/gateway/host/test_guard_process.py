@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.flow import CommandFlow
 from gateway.guard.stopper import GuardView
 from gateway.host import guard_process

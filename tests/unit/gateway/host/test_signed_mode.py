@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from gateway.authority.robot_authority import Kept
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
 from gateway.host.signed_mode import WAITS, Renewal, SignedMode, note_path

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, REMOTE, Frame
 from gateway.chassis.layout import Decoded, FrameDecoder
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.sim.body import (
     ACCELERATION_MPS2,
     BRAKING_DECELERATION_MPS2,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, Value, check, checksum
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.sim.model import StandIn
 from schemas.messages import Variant
 from tests.support.rigs.chassis import ENABLES, MS, ChassisRig

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import EXTENDED, REMOTE, FaultKind, Frame
 from gateway.chassis.supervision import silence_ns
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.telemetry.feedback import FeedbackStream, FrameBatch
 from gateway.telemetry.samples import KeptSamples
 from schemas.messages import Variant

@@ -5,7 +5,7 @@ from typing import Any, Final
 import msgspec
 import pytest
 
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.telemetry.health import (
     OTHER_IDENTIFIERS,
     UNKNOWN_IDENTIFIERS_MAX,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.samples import LOG_CHUNK, ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.record import accounting
 from recorder.record.accounting import KeyReport
 from recorder.record.actions import INCIDENT_MARK, Deleted, DiskRoom, LogAction, Query
@@ -22,7 +22,7 @@ from recorder.record.robots import ANSWER_NS, KEPT_SUBJECTS
 from schemas import codec
 from schemas.decisions import EventKind
 from schemas.messages import GatewayInfo, Gear
-from schemas.recording import GapReason, RecorderEvent, RecorderState
+from schemas.recording import LOG_CHUNK, GapReason, RecorderEvent, RecorderState
 from schemas.subjects import BY_TYPE
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, gear, info, key_of, safety_event, sample_of
 from tests.support.rigs.recorder import (

@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, rule
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from recorder.encoding.samples import LOG_CHUNK, ReceivedSample
+from recorder.encoding.samples import ReceivedSample
 from recorder.record import robot_log
 from recorder.record.accounting import COMPLETENESS_NAME, OTHER_KEYS, KeyReport
 from recorder.record.actions import INCIDENT_MARK, Lost
@@ -21,7 +21,7 @@ from recorder.record.recorder import REPORT_LOSSES_NS, HealthReport, Vitals
 from schemas import keys
 from schemas.decisions import EventKind, SafetyEvent, Severity
 from schemas.messages import CanFrames, Gear
-from schemas.recording import GapReason
+from schemas.recording import LOG_CHUNK, GapReason
 from tests.support.fakes.recording import MemoryFile
 from tests.support.messages import (
     MS,

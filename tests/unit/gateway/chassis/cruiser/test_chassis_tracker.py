@@ -19,7 +19,7 @@ from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Value
 from gateway.chassis.port import ChassisState
 from gateway.chassis.supervision import VariantDetector, silence_ns
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.core import Core, as_linked
 from gateway.telemetry.feedback import FeedbackStream
 from gateway.telemetry.health import Links

@@ -17,7 +17,7 @@ from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.layout import Value
 from gateway.chassis.port import Actuation
 from gateway.chassis.supervision import silence_ns
-from gateway.choice import CHASSIS
+from gateway.choice.chassis import CHASSIS
 from gateway.guard.stopper import Stopper
 from gateway.host.notes import StopNote
 from gateway.sim.body import Conditions

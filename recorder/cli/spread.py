@@ -1,0 +1,39 @@
+"""--processes and --ray: where the tasks of a question are done. Only some questions have them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from contextlib import suppress
+from typing import Final
+
+from recorder.cli.asking import Asked
+from recorder.review.tasks import TaskRunner
+
+LITTLE_BYTES: Final = 4_000_000
+"""Logs of fewer bytes in all are read before another process has started."""
+
+
+def add_task_runner(parser: argparse.ArgumentParser) -> None:
+    """--processes and --ray."""
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument(
+        "--processes",
+        type=_whole_number,
+        metavar="N",
+        help="logs at a time, each in a process of its own (default: one a processor, or one for little)",
+    )
+    group.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+
+
+def task_runner(arguments: argparse.Namespace, asked: Asked) -> TaskRunner:
+    """The place where --processes and --ray want the tasks done."""
+    most = len(os.sched_getaffinity(0)) if asked.bytes > LITTLE_BYTES else 1
+    return TaskRunner(arguments.processes or most, arguments.ray or "")
+
+
+def _whole_number(text: str) -> int:
+    with suppress(ValueError):
+        if (number := int(text)) > 0:
+            return number
+    raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
