@@ -19,7 +19,7 @@ from typing import Any, Final
 import msgspec
 from msgspec import inspect
 
-from schemas.command_line import CommandError, ExitCode, gone_setting, plain
+from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode, plain
 from schemas.settings import NEEDED_FEEDBACK, AuthoritySettings, Settings
 
 
@@ -294,15 +294,17 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
     for section, table in _parse(toml).items():
         if section not in SECTIONS:
             near = _nearest(section, SECTIONS)
-            _pass_gone(toml, where(section), section, f"there is no table {plain(section)!r}{near}")
-            continue
+            raise _wrong(f"{where(section)}: there is no table {plain(section)!r}{near}")
         if not isinstance(table, dict):
             raise _wrong(f"{where(section)}: {section} is a table of settings, as in [{section}]")
         for name, value in table.items():
             key = f"{section}.{name}"
             if key not in SETTINGS:
-                unknown = f"there is no setting {plain(key)!r}{_nearest_key(key)}"
-                _pass_gone(toml, where(section, name), key, unknown)
+                if key not in GONE_SETTINGS:
+                    raise _wrong(f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}")
+                if not toml.is_recorded:
+                    text = f"{key} was removed and has no effect: {GONE_SETTINGS[key]}"
+                    logging.getLogger(__name__).warning("%s: %s", where(section, name), text)
                 continue
             # Only a wrong value asks for its line: finding lines costs more than reading the file.
             try:
@@ -310,15 +312,6 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
             except CommandError:
                 _checked(Given(SETTINGS[key], value, where(section, name)))
             yield Given(SETTINGS[key], value, "")
-
-
-def _pass_gone(toml: TomlSource, where: str, key: str, unknown: str) -> None:
-    """Warn of a setting of earlier versions, but not in a log."""
-    gone = gone_setting(key)
-    if not gone:
-        raise _wrong(f"{where}: {unknown}")
-    if not toml.is_recorded:
-        logging.getLogger(__name__).warning("%s: %s", where, gone)
 
 
 RECORDED_MAX: Final = 64 * 1024  # the longest text of settings that is taken from a log
@@ -353,18 +346,10 @@ def _from_environment(environ: Mapping[str, str]) -> Iterator[Given]:
             continue
         where = f"environment {plain(variable)}"
         if variable not in by_variable:
-            if gone := next(filter(None, map(gone_setting, _keys_of(variable))), ""):
-                raise _wrong(f"{where}: {gone}")
             near = _nearest(variable.upper(), (*by_variable, CONFIG_VARIABLE))
             raise _wrong(f"{where}: there is no such setting{near}")
         setting = by_variable[variable]
         yield Given(setting, _typed(setting, environ[variable]), where)
-
-
-def _keys_of(variable: str) -> list[str]:
-    """Return the dotted keys that an environment variable may mean: tables' names have underscores too."""
-    words = variable.removeprefix(VARIABLE_PREFIX).lower().split("_")
-    return [f"{'_'.join(words[:at])}.{'_'.join(words[at:])}" for at in range(1, len(words))]
 
 
 def _from_flags(flags: Mapping[str, object]) -> Iterator[Given]:

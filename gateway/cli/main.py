@@ -27,7 +27,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from gateway.cli.parent import end_with_parent
-from schemas.command_line import gone_word
 
 if TYPE_CHECKING:
     from schemas.command_line import CommandError
@@ -140,9 +139,6 @@ def _answer(words: list[str]) -> int:
 
         print(f"cruiser {version('cruiser-gateway')}")  # noqa: T201 - the version is the output
         return 0
-    if gone := gone_word(words):
-        sys.stderr.write(f"cruiser: {gone}\n")
-        return 2
     if words[0] not in COMMANDS:
         from difflib import get_close_matches  # noqa: PLC0415 - only for a mistake
 

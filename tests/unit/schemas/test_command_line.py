@@ -1,4 +1,4 @@
-"""What is shared by all commands: words that are gone, files that are no files, text from elsewhere."""
+"""What all commands share: regular files, printable text, extras, durations."""
 
 from __future__ import annotations
 
@@ -13,45 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.cli.main import COMMANDS, main
-from recorder.cli.review import QUESTIONS
 from schemas.arguments import ending_after, seconds
 from schemas.command_line import (
-    GONE_WORDS,
     LINE_LENGTH,
     CommandError,
     ExitCode,
     check_regular,
-    gone_word,
     missing_extra,
     plain,
     short,
 )
-
-
-@pytest.mark.parametrize(
-    ("typed", "gone"),
-    [
-        *((f"{word}{more}", word) for word in GONE_WORDS for more in ("", " --out there")),
-        ("record --connect tcp/127.0.0.1:7447 stop", "record stop"),
-        ("review --config c.toml evidence a.mcap", "review evidence"),
-        ("record --name stop", ""),
-        ("review why evidence", ""),
-        ("stop --all", ""),
-        ("", ""),
-    ],
-)
-def test_what_is_gone_is_said_with_what_to_use(typed: str, gone: str) -> None:
-    """Commands, questions and flags, behind other flags too; a flag's value is none of them."""
-    said = gone_word(typed.split())
-    assert said.startswith(f"'{gone}' is gone: ") if gone else not said
-
-
-def test_what_is_gone_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    """A word is in one table alone, and whoever types one that is gone hears it in one line."""
-    assert not GONE_WORDS.keys() & (COMMANDS.keys() | {f"review {question}" for question in QUESTIONS})
-    assert main(["serve"]) == ExitCode.USAGE
-    assert capsys.readouterr().err == f"cruiser: 'serve' is gone: {GONE_WORDS['serve']}\n"
 
 
 @given(st.text())
