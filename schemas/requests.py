@@ -16,12 +16,10 @@ from schemas.messages import AngleDeg, SpeedMps, YawRateRadps, unit_keyword
 
 LEASE_MAX: Final = 2**53 - 1  # the largest whole number that every language's numbers hold exactly
 
-TICK_MAX: Final = 2**53 - 1
-
 CHALLENGE_BYTES: Final = 8
 
 LeaseNumber = Annotated[int, Meta(ge=0, le=LEASE_MAX, description="The number that acquire or take gave.")]
-Tick = Annotated[int, Meta(ge=0, le=TICK_MAX)]
+Tick = Annotated[int, Meta(ge=0, le=LEASE_MAX)]
 Challenge = Annotated[
     bytes,
     Meta(

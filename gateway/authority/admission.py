@@ -313,7 +313,6 @@ _LEASE_REPLY: Final = msgspec.msgpack.Decoder(LeaseReply)
 WORDS_PER_TICK: Final = 4
 """New lists of revocations, and rotations, that are verified in a tick: one signature each, 0.5 ms in all."""
 
-OTHERS_PER_TICK: Final = 1  # all other statements that are verified in a tick: up to three signatures each
 KEPT_WAITING: Final = 16  # statements of a kind that wait for the next tick; of more than that, chance drops some
 
 
@@ -354,12 +353,11 @@ class StatementSieve(Generic[_Item]):
         for text, item in arrived:
             self._waiting[self.kind_of(text)].append(item)
         chosen = self._draw(StatementKind.WORD, WORDS_PER_TICK)
-        for _ in range(OTHERS_PER_TICK):
-            kind = next((one for one in self._turns if self._waiting[one]), None)
-            if kind is not None:
-                self._turns.remove(kind)
-                self._turns.append(kind)
-                chosen += self._draw(kind, 1)
+        kind = next((one for one in self._turns if self._waiting[one]), None)
+        if kind is not None:
+            self._turns.remove(kind)
+            self._turns.append(kind)
+            chosen += self._draw(kind, 1)
         for kind, items in self._waiting.items():
             if len(items) > KEPT_WAITING:
                 self._waiting[kind] = self._sample(items, KEPT_WAITING)

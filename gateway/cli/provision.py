@@ -41,7 +41,6 @@ from gateway.provisioning.issuer import (
 from gateway.provisioning.key_files import (
     FOR_ALL,
     STANDBY_FILE,
-    CertificateError,
     KeyStore,
     Passphrase,
     check_kinds,
@@ -529,7 +528,7 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
     output = _Output(arguments, file.with_suffix(".bundle"))
     try:
         bundle, grant = issuer.sign(request, wanted, _now_s())
-    except CertificateError as error:
+    except EnrolmentError as error:
         # All else that may be wrong is the issuer's own, and named there.
         raise CommandError(f"{plain(str(file))}: {error}", error.code) from error
     output.write(bundle.decode())

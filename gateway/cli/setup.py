@@ -34,7 +34,6 @@ from gateway.host.looks import (
 )
 from gateway.provisioning.issuer import install, unknown_of
 from gateway.provisioning.key_files import (
-    CertificateError,
     KeyStore,
     expires_s,
     read_certificates,
@@ -451,7 +450,7 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
         try:
             bundle = read_bundle(found.content, int(time.time()))
             ended_s = time.time() - expires_s(read_certificates(bundle.certificate)[0])
-        except (EnrolmentError, CertificateError) as error:
+        except EnrolmentError as error:
             raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
         if ended_s > 0:
             raise CommandError(

@@ -29,7 +29,6 @@ from gateway.authority.enrolment import (
 from gateway.provisioning.key_files import (
     NAME_PATTERN,
     STANDBY_FILE,
-    CertificateError,
     KeyStore,
     expires_s,
     fits,
@@ -253,7 +252,7 @@ def _settings(store: KeyStore, bundle: Bundle) -> str:
     )
 
 
-def _json(struct: AuthorityKeys | msgspec.Struct) -> str:
+def _json(struct: msgspec.Struct) -> str:
     return msgspec.json.encode(struct).decode() + "\n"
 
 
@@ -351,7 +350,7 @@ class Issuer:
         name, role = request.names[0], request.role
         applicant = read_request(request.csr) if request.csr else None
         if applicant and (applicant.role != role.value or sorted(applicant.names) != sorted(request.names)):
-            raise CertificateError("the request and its certificate's request name different people")
+            raise EnrolmentError("the request and its certificate's request name different people")
         self._refuse_revoked(request)
         signed = self._grant(request, wanted, now_s) if role.is_granted else None
         bundle = Bundle(
@@ -486,7 +485,7 @@ class Issuer:
         key, ca = self.store.p256(CA_KEY, _AUTHORITY_CURE), self.ca
         try:
             return issue(request.csr, role, ca, key, now_s)
-        except CertificateError as error:
+        except EnrolmentError as error:
             raise CommandError(f"{self.store.path(CA_FILE)}: {error}", ExitCode.USAGE) from error
 
     def _revoked(self) -> Revocations:
@@ -519,8 +518,8 @@ def make_authority(
             AUTHORITY_KEY: store.pem(private, is_protected=True),
             CA_KEY: store.pem(ca, is_protected=True),
             CA_FILE: new_authority(ca, now_s),
-            AUTHORITY_FILE: msgspec.json.encode(authority).decode() + "\n",
-            FLEET_FILE: msgspec.json.encode(fleet).decode() + "\n",
+            AUTHORITY_FILE: _json(authority),
+            FLEET_FILE: _json(fleet),
         },
         replace=replace,
         cure="--replace makes another authority, which no robot of before knows",
@@ -554,4 +553,4 @@ def serials_of(store: KeyStore) -> Serials:
 
 
 def save_serials(store: KeyStore, serials: Serials) -> None:
-    store.write({SERIALS_FILE: msgspec.json.encode(serials).decode() + "\n"}, replace=True)
+    store.write({SERIALS_FILE: _json(serials)}, replace=True)

@@ -40,7 +40,14 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509 import Certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from gateway.authority.enrolment import CA_FILE, LISTENING, SHUT_OUT_FILE, TLS_KEY_FILE, TransportRole
+from gateway.authority.enrolment import (
+    CA_FILE,
+    LISTENING,
+    SHUT_OUT_FILE,
+    TLS_KEY_FILE,
+    EnrolmentError,
+    TransportRole,
+)
 from schemas.authority.key_files import (
     AUTHORITY_FILE,
     INSTALLED,
@@ -64,13 +71,6 @@ BACKDATED: Final = timedelta(minutes=5)  # a certificate is valid from a little 
 NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
 
 _CLIENT, _SERVER = ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH
-
-
-class CertificateError(CommandError):
-    """A request, certificate or key that cannot be used: one line, to which who read the file adds its name."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(message, ExitCode.USAGE)
 
 
 class Applicant(msgspec.Struct, frozen=True):
@@ -110,9 +110,15 @@ def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCur
         certificates: of the authority that signs first; while two count, that of the former one too.
     """
     request, authority = _request(text), read_certificates(certificates)[0]
+    if not fits(authority, key):
+        raise EnrolmentError("the authority's key is not that of its certificate")
+    own = _public_key(request)
+    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(authority))
     usage = [_SERVER, _CLIENT] if role in LISTENING else [_CLIENT]
     builder = (
-        _below(authority, key, request, role.value, now_s)
+        _builder(_name(role.value), authority.subject, own, now_s, until_s)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(own), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(key.public_key()), critical=False)
         .add_extension(_alternatives(_applicant(request).names), critical=False)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(x509.ExtendedKeyUsage(usage), critical=False)
@@ -124,28 +130,20 @@ def read_certificates(text: str) -> list[x509.Certificate]:
     try:
         return x509.load_pem_x509_certificates(text.encode())
     except (ValueError, UnsupportedAlgorithm) as error:
-        raise CertificateError("it is no certificate") from error
+        raise EnrolmentError("it is no certificate") from error
 
 
 def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
     return _raw(certificate.public_key()) == _raw(key.public_key())
 
 
-def is_issued(chain: Sequence[x509.Certificate], roots: Sequence[x509.Certificate]) -> bool:
-    """Return True if each certificate is signed by the next one, and the last by a root (RFC 5280, 6.1)."""
-    above = [one for one in chain[1:] if one not in roots]
-    return all(
-        any(_is_signer(signer, one) for signer in signers)
-        for one, signers in zip((chain[0], *above), (*([one] for one in above), roots), strict=True)
-    )
-
-
-def _is_signer(above: x509.Certificate, below: x509.Certificate) -> bool:
-    try:
-        below.verify_directly_issued_by(above)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
+def is_issued(certificate: x509.Certificate, roots: Sequence[x509.Certificate]) -> bool:
+    """Return True if one of the roots signed this certificate (RFC 5280, 6.1)."""
+    for root in roots:
+        with suppress(ValueError, TypeError, InvalidSignature):
+            certificate.verify_directly_issued_by(root)
+            return True
+    return False
 
 
 def begins_s(certificate: x509.Certificate) -> int:
@@ -169,9 +167,9 @@ def _request(text: str) -> x509.CertificateSigningRequest:
         request = x509.load_pem_x509_csr(text.encode())
         is_signed = request.is_signature_valid
     except (ValueError, UnsupportedAlgorithm, InvalidSignature) as error:
-        raise CertificateError("it holds no request for a certificate") from error
+        raise EnrolmentError("it holds no request for a certificate") from error
     if not is_signed:
-        raise CertificateError("the request for a certificate is not signed by its own key")
+        raise EnrolmentError("the request for a certificate is not signed by its own key")
     _public_key(request)
     return request
 
@@ -181,16 +179,16 @@ def _applicant(request: x509.CertificateSigningRequest) -> Applicant:
     try:
         names = _names(request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
     except (x509.ExtensionNotFound, ValueError) as error:
-        raise CertificateError("the request for a certificate has no name") from error
+        raise EnrolmentError("the request for a certificate has no name") from error
     if len(commons) != 1 or not names or not all(re.fullmatch(NAME_PATTERN, name) for name in names):
-        raise CertificateError("the request for a certificate has no role or no name")
+        raise EnrolmentError("the request for a certificate has no role or no name")
     return Applicant(str(commons[0].value), names, fingerprint(_raw(request.public_key())))
 
 
 def _public_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
     key = request.public_key()
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
-        raise CertificateError("the request for a certificate is not of a key on P-256")
+        raise EnrolmentError("the request for a certificate is not of a key on P-256")
     return key
 
 
@@ -218,7 +216,7 @@ def _builder(
     subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now_s: int, until_s: int
 ) -> x509.CertificateBuilder:
     if until_s <= now_s:
-        raise CertificateError("the certificate of the authority is over")
+        raise EnrolmentError("the certificate of the authority is over")
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -244,24 +242,6 @@ def _as_authority(builder: x509.CertificateBuilder) -> x509.CertificateBuilder:
     )
     constraints = x509.BasicConstraints(ca=True, path_length=0)
     return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
-
-
-def _below(
-    above: x509.Certificate,
-    signer: ec.EllipticCurvePrivateKey,
-    request: x509.CertificateSigningRequest,
-    common: str,
-    now_s: int,
-) -> x509.CertificateBuilder:
-    """A certificate that the authority signs, and that lasts no longer than its own."""
-    if not fits(above, signer):
-        raise CertificateError("the authority's key is not that of its certificate")
-    key = _public_key(request)
-    until_s = min(now_s + LEAF_DAYS * 86_400, expires_s(above))
-    builder = _builder(_name(common), above.subject, key, now_s, until_s)
-    own = x509.SubjectKeyIdentifier.from_public_key(key)
-    authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(signer.public_key())
-    return builder.add_extension(own, critical=False).add_extension(authority, critical=False)
 
 
 def _raw(key: object) -> bytes:
@@ -482,18 +462,18 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
     files, cure = tls_files(file), renewed(who)
     if files is None:
         return ""
-    roots, chain = _read(files.ca, INSTALLED), _read(files.certificate, cure)
+    roots, certificate = _read(files.ca, INSTALLED), _read(files.certificate, cure)[0]
     shown = plain(str(files.certificate))
     _check_end(files.ca, max(map(expires_s, roots)) - now_s, "the fleet needs a new authority")
-    if not fits(chain[0], KeyStore(files.key.parent).p256(files.key.name, remade(who))):
+    if not fits(certificate, KeyStore(files.key.parent).p256(files.key.name, remade(who))):
         raise CommandError(f"{shown} is not the certificate of {plain(str(files.key))}; {cure}", ExitCode.USAGE)
-    if not is_issued(chain, roots):
+    if not is_issued(certificate, roots):
         raise CommandError(
             f"{shown} is of another network than {plain(str(files.ca))}: "
             f"none of its authorities signed it; {cure}",
             ExitCode.USAGE,
         )
-    left_s = expires_s(chain[0]) - now_s
+    left_s = expires_s(certificate) - now_s
     _check_end(files.certificate, left_s, cure)
     return f"{shown} ends in {left_s / _DAY_S:.1f} days; {cure}" if left_s < RENEW_S else ""
 
@@ -543,7 +523,7 @@ def role_of(file: Path) -> str:
 def _read(path: Path, cure: str) -> list[Certificate]:
     try:
         return read_certificates(read_input(path, cure).decode(errors="replace"))
-    except CertificateError as error:
+    except EnrolmentError as error:
         raise CommandError(f"{plain(str(path))}: {error}; {cure}", ExitCode.USAGE) from error
 
 

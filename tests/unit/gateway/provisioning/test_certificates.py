@@ -12,10 +12,9 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from gateway.authority.enrolment import TransportRole
+from gateway.authority.enrolment import EnrolmentError, TransportRole
 from gateway.provisioning.key_files import (
     RENEW_S,
-    CertificateError,
     begins_s,
     check_kinds,
     check_tls_files,
@@ -63,7 +62,7 @@ def test_a_certificate_does_not_outlive_its_authority() -> None:
     request = new_request(key, "viewer", ["hall"])
     late = issue(request, TransportRole.VIEWER, authority, ca, end_s - DAY_S)
     assert expires_s(read_certificates(late)[0]) == end_s
-    with pytest.raises(CertificateError, match="is over"):
+    with pytest.raises(EnrolmentError, match="is over"):
         issue(request, TransportRole.VIEWER, authority, ca, end_s)
 
 
@@ -90,7 +89,7 @@ def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *,
 )
 def test_a_request_that_is_none_is_refused(text: str, says: str) -> None:
     """Each with its reason."""
-    with pytest.raises(CertificateError, match=says):
+    with pytest.raises(EnrolmentError, match=says):
         read_request(text)
 
 
@@ -102,7 +101,7 @@ def test_a_request_is_signed_by_its_own_key() -> None:
     assert b"hall" in der
     der[der.index(b"hall")] = ord("b")
     text = x509.load_der_x509_csr(bytes(der)).public_bytes(Encoding.PEM).decode()
-    with pytest.raises(CertificateError, match="not signed by its own key"):
+    with pytest.raises(EnrolmentError, match="not signed by its own key"):
         read_request(text)
 
 
