@@ -103,7 +103,7 @@ GONE_SETTINGS: Final[Mapping[str, str]] = {
     "authority.max_offline_h": "a robot is engaged however long its authority was silent; give grants of hours",
     "authority.require_fresh": "a robot waits for no word of its authority; give grants of hours",
 }
-"""What to use instead of each setting that was removed, by its dotted key.
+"""Settings that were removed, by dotted key: what to use instead.
 
 A settings file that contains one still starts the gateway, with a warning: an upgrade must not ground a fleet.
 Logs of earlier versions contain them too.
