@@ -1,20 +1,17 @@
-"""The messages of logs, as rows, and ``from recorder import read_log``."""
+"""The messages of logs as rows."""
 
 from array import array
 from pathlib import Path
 
 import pytest
 
-import recorder
-from recorder import read_log
 from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.mcap.framing import encode_index
 from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, decoded_rows, read_rows
-from schemas.command_line import CommandError
 from schemas.messages import Drive, Gear
-from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved, small_log
+from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved
 
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
 CHANNELS = [
@@ -120,38 +117,3 @@ def test_what_is_read_of_a_file(
     assert [row.log_ns for row in rows(tmp_path, selection, data, faults=faults)] == log_ns
     assert bool(faults) == bool(fault)
     assert any(fault in one for one in faults.told) == bool(fault)
-
-
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    return saved(tmp_path / "a.mcap", small_log())
-
-
-def test_messages_are_typed_and_in_order(log: Path) -> None:
-    """Of a topic as it is called behind the robot; a directory is all of its logs."""
-    found = list(read_log(log.parent, topics=["chassis/*"]))
-    assert found
-    assert {one.topic for one in found} == {"fleet/cruiser-1/chassis/gear"}
-    assert all(isinstance(one.message, Gear) for one in found)
-    times = [one.log_time_ns for one in found]
-    assert times == sorted(times)
-    assert len(list(read_log(log))) > len(found)
-
-
-def test_what_cannot_be_read_is_said(log: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """To whom gathers it, or in the program's log."""
-    log.write_bytes(log.read_bytes()[:-300])
-    faults = Faults()
-    list(read_log(log, faults=faults))
-    assert faults
-    assert not caplog.records
-    list(read_log(log))
-    assert [record.getMessage() for record in caplog.records] == faults.told
-
-
-def test_where_there_is_no_log_that_is_an_error(tmp_path: Path) -> None:
-    """As for the commands; and a mistaken name is one as of any module."""
-    with pytest.raises(CommandError, match="no log"):
-        list(read_log(tmp_path))
-    with pytest.raises(AttributeError, match="no attribute 'read_logs'"):
-        recorder.read_logs  # noqa: B018
