@@ -24,7 +24,7 @@ Its rooms, from the file upwards. Pure ones do no I/O: the time is an argument, 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from recorder.reading.messages import read_log
+    from recorder.review.messages import read_log
 
 __all__ = ["read_log"]
 
@@ -32,7 +32,7 @@ __all__ = ["read_log"]
 def __getattr__(name: str) -> object:
     """``from recorder import read_log``: loaded when it is asked for, because a recorder needs no reader."""
     if name == "read_log":
-        from recorder.reading.messages import read_log  # noqa: PLC0415 - as said
+        from recorder.review.messages import read_log  # noqa: PLC0415 - as said
 
         return read_log
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

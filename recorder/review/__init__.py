@@ -11,6 +11,7 @@
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet and CSV; SQL; both on ``columns``
 - ``raw_frames``         for the tools of CAN
+- ``messages``           a log as typed messages or tables, for programs
 - ``tasks``              their parts that processes and machines do beside each other
 
 ``recorder.reading`` finds the files and reads them.
