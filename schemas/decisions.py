@@ -314,7 +314,7 @@ class SignedStatement(Message, frozen=True):
     """A statement of the authority, with its chain and signatures, that the robot has taken over.
 
     Attributes:
-        text: as it was received: see docs/proof.md.
+        text: as it was received: see docs/authority.md.
     """
 
     text: str

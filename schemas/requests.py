@@ -29,7 +29,7 @@ Challenge = Annotated[
     ),
 ]
 PublicKey = Annotated[
-    bytes, Meta(min_length=32, max_length=32, description="X25519, drawn for this lease: see docs/proof.md.")
+    bytes, Meta(min_length=32, max_length=32, description="X25519, drawn for this lease: see docs/authority.md.")
 ]
 DeadmanS = Annotated[float, Meta(ge=0.05, le=1.0, extra_json_schema=unit_keyword("s"))]
 CurvatureInverseM = Annotated[

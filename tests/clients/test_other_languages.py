@@ -224,7 +224,7 @@ class Impostor:
 def test_a_client_believes_no_impostor(client: str, signed: SignedRobot) -> None:
     """It passes over states and replies that the robot did not sign, or signed before, and drives.
 
-    Each verb under its lease has the holder's tag too, by which no flood keeps it waiting (docs/proof.md).
+    Each verb under its lease has the holder's tag too, by which no flood keeps it waiting (docs/authority.md).
     """
     ann, other = signed.fleet.let_in("operator", "ann"), signed.fleet.let_in("robot", "cruiser-2")
     wait_until_ready(ann)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Drives a robot at half a metre a second for two seconds. Written from docs/commands.md and docs/proof.md alone.
+// Drives a robot at half a metre a second for two seconds. Written from docs/commands.md and docs/authority.md alone.
 //
 // In open mode:
 //

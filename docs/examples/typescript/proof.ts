@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proof of commands to a robot in signed mode, and of what it says. Written from docs/proof.md alone.
+// Proof of commands to a robot in signed mode, and of what it says. Written from docs/authority.md alone.
 //
 // WebCrypto alone, no packages: the same file runs in Node.js and in a browser. Keys are CryptoKeys that need not be
 // extractable; a browser keeps one in IndexedDB. `npm test` holds it against schemas/vectors/proof.json.

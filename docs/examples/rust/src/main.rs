@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-//! Drives a robot at half a metre a second for two seconds. Written from docs/commands.md and docs/proof.md alone.
+//! Drives a robot at half a metre a second for two seconds. Written from docs/commands.md and docs/authority.md alone.
 //!
 //!     cargo run -- tcp/127.0.0.1:7447 fleet/cruiser-1      in open mode
 //!     cargo run -- ~/.config/cruiser fleet/cruiser-1       in signed mode, as `cruiser provision` left the directory

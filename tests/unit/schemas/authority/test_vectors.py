@@ -1,4 +1,4 @@
-"""The test vectors of clients in other languages, held against docs/proof.md and against the code.
+"""The test vectors of clients in other languages, held against docs/authority.md and against the code.
 
 Their private keys are known to everybody. They are never made anew: who fits them fits every version.
 """
@@ -52,7 +52,7 @@ def vector(name: str) -> Vector:
 
 
 def frame(kind: bytes, *parts: bytes) -> bytes:
-    """The signed text, by the description in docs/proof.md and by nothing else."""
+    """The signed text, by the description in docs/authority.md and by nothing else."""
     return b"cruiser-auth-1\0" + kind + b"".join(len(part).to_bytes(4, "big") + part for part in parts)
 
 

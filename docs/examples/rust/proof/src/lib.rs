@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-//! Proof of commands to a robot in signed mode, and of what it says. Written from docs/proof.md alone.
+//! Proof of commands to a robot in signed mode, and of what it says. Written from docs/authority.md alone.
 //!
 //! No input and output but [`Operator::read`], and no randomness: nonces and keys of leases are arguments.
 //! `cargo test` holds it against schemas/vectors/proof.json.
