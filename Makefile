@@ -156,7 +156,7 @@ reach: $(STAMP)  ## the modules that each process loads at its start
 generate: $(STAMP)  ## what is generated: JSON Schemas, the layouts of the DBC files, the tables of docs/
 	$(BIN)/python -m schemas.json_schema
 	$(BIN)/python -m gateway.chassis.cruiser.layout_file
-	$(BIN)/python -m gateway.documents
+	$(BIN)/python docs/generate.py
 
 pictures: $(STAMP)  ## the pictures of the README, from runs of the demos; needs Chromium
 	$(BIN)/python docs/pictures/make.py

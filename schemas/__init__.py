@@ -15,6 +15,5 @@ Pure: no I/O, no clock, but for ``zenoh_session``, and for generators, which wri
 - ``zenoh_session`` the Zenoh session that every process opens
 
 ``cruiser-coarse.dbc`` and ``cruiser-fine.dbc`` are the one source of the chassis's bits, scales, units and
-cycle times. ``json/`` holds a JSON Schema for each of them; ``json_schema`` generates it, and ``documents`` the
-tables of ``docs/`` (``make generate``, by ``gateway.documents``, which adds those of the arbiter).
+cycle times. ``json/`` holds a JSON Schema for each of them, which ``json_schema`` generates.
 """

@@ -76,6 +76,13 @@ class Robot:
         self._link = link
         self._root = root
 
+    def __repr__(self) -> str:
+        try:
+            state = self._link.sighting().state.state.value
+        except Unreachable:
+            state = "unreachable"
+        return f"<Robot {self.name}: {state}, operator={self.operator}>"
+
     @classmethod
     def connect(
         cls,
@@ -229,6 +236,12 @@ class Lease:
         self._operator = operator
         self._request = request
         self._stream: DriveStream | None = None
+
+    def __repr__(self) -> str:
+        if self._stream is None:
+            return f"<Lease of {self._link.robot}: not acquired>"
+        engaged = "engaged" if self.is_engaged else "not engaged"
+        return f"<Lease {self._stream.lease} of {self._link.robot}: {engaged}>"
 
     def __enter__(self) -> Self:
         if self._link.has_stream:

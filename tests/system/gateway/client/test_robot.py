@@ -26,8 +26,10 @@ def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
         first = fake.accepted("drive")[0].tick
         assert all(one.tick < first for one in fake.refused("drive"))
         assert fake.accepted("drive")[-1].requested_angle_deg == 5.0
+        assert repr(lease) == f"<Lease {lease.number} of cruiser-1: engaged>"
         lease.disengage()
         assert robot.state().state.state is ArbiterState.STANDBY
+        assert repr(robot) == "<Robot cruiser-1: standby, operator=first>"
         with pytest.raises(Refused) as caught:
             lease.drive(0.5)
         assert caught.value.reason is Reason.NOT_ENGAGED

@@ -1,18 +1,12 @@
-"""The generated parts of README.md and docs/*.md that are made from the tables of this package.
-
-A part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->``; the text around it is written by hand.
-``python -m gateway.documents`` rewrites them, together with those of the gateway's own tables.
-"""
+# SPDX-License-Identifier: Apache-2.0
+"""The generated parts of the documents that are made from the tables of ``schemas``."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
-import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import Enum
-from pathlib import Path
 from typing import Any, Final
 
 import msgspec
@@ -45,33 +39,14 @@ from schemas.subjects import (
     Verb,
 )
 
-ROOT: Final = Path(__file__).parent.parent
-
 Part = Callable[[], str]  # makes the text of a part
 
-_PART: Final = re.compile(r"<!-- generated: ([\w-]+) -->\n(.*?)<!-- end -->", re.DOTALL)
 _UNBOUNDED: Final = 2**53 - 1  # from here on an upper bound is only what a number can hold, and says nothing
 
 _DETAILS: Final = re.compile(r" (from )?[\d.-]+\Z| (from )?[\d.-]+(?= or)| or null")
 """The parts of a type's description besides the type: bounds and null."""
 
 _COMMON_FIELDS: Final = tuple(field.name for field in msgspec.structs.fields(Message))
-
-
-class UnknownPartError(Exception):
-    """A document asks for a part that is not generated."""
-
-
-def rewrite(text: str, parts: Mapping[str, Part]) -> str:
-    """The document with every generated part current; one without markers is returned as it is."""
-
-    def replace(match: re.Match[str]) -> str:
-        name = match[1]
-        if name not in parts:
-            raise UnknownPartError(f"there is no generated part {name!r}; there are {', '.join(parts)}")
-        return f"<!-- generated: {name} -->\n\n{parts[name]()}\n\n<!-- end -->"
-
-    return _PART.sub(replace, text)
 
 
 def key_table() -> str:
@@ -398,28 +373,3 @@ PARTS: Final[dict[str, Part]] = {
     "recorder-keys": recorder_key_table,
     "recorder-commands": recorder_command_tables,
 }
-
-
-def main(words: Sequence[str] | None, parts: Mapping[str, Part]) -> int:
-    """Rewrites the documents, or with ``--check`` only says which ones are not current."""
-    parser = argparse.ArgumentParser(description="Rewrite the generated parts of README.md and docs/*.md.")
-    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document is not current")
-    parser.add_argument("--root", type=Path, default=ROOT, help="the project's directory")
-    arguments = parser.parse_args(words)
-    root: Path = arguments.root
-    stale = 0
-    for path in [root / "README.md", *sorted(root.glob("docs/*.md"))]:
-        if not path.exists():
-            continue
-        text = path.read_text(encoding="utf-8")
-        try:
-            current = rewrite(text, parts)
-        except UnknownPartError as error:
-            sys.stderr.write(f"{path}: {error}\n")
-            return 1
-        if current != text:
-            stale += 1
-            if not arguments.check:
-                path.write_text(current, encoding="utf-8")
-            sys.stderr.write(f"{'stale' if arguments.check else 'wrote'} {path}\n")
-    return int(bool(stale)) if arguments.check else 0

@@ -1,26 +1,53 @@
-"""All generated parts of README.md and docs/*.md: ``python -m gateway.documents`` rewrites them.
+# SPDX-License-Identifier: Apache-2.0
+"""Rewrite the generated parts of README.md and docs/*.md: ``make generate``.
 
-Most are made from the tables of ``schemas``, by ``schemas.documents``. Those of this module are made from the
-arbiter's, the gate's and the metrics' own tables, which ``schemas`` knows nothing of.
+A part stands between ``<!-- generated: NAME -->`` and ``<!-- end -->``. The text around it is written by hand.
 """
 
 from __future__ import annotations
 
+import argparse
+import inspect
 import re
 import sys
-from collections.abc import Sequence
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
+import tables
+
+from gateway import LeaseLost, Refused, Robot, Stopped, Unreachable
 from gateway.chassis.cruiser import gate
 from gateway.chassis.cruiser.frames import DRIVE_COMMAND, STEERING_COMMAND, TARGET_ANGLE, TARGET_SPEED, load
 from gateway.chassis.frame import hex_identifier
+from gateway.client.link import Sighting
+from gateway.client.refusal import RobotError
+from gateway.client.robot import Lease
 from gateway.command.rulings import STOPS, diagram
 from gateway.doctor.checks import CHECKS
 from gateway.metrics import MEASURES
-from schemas import documents
-from schemas.documents import Part
+from recorder import read_log
+from recorder.reading.rows import END_OF_TIME_NS
+from recorder.review.messages import LogMessage, LogMessages
+from schemas.command_line import CommandError
 from schemas.messages import Variant
 from schemas.reasons import TEXTS
+
+ROOT: Final = Path(__file__).parent.parent
+
+LIBRARY: Final = (
+    Robot,
+    Lease,
+    Sighting,
+    CommandError,
+    RobotError,
+    Refused,
+    Stopped,
+    LeaseLost,
+    Unreachable,
+    read_log,
+    LogMessages,
+    LogMessage,
+)
 
 
 def state_diagram() -> str:
@@ -39,7 +66,7 @@ def stop_table() -> str:
         )
         for reason, stop in STOPS.items()
     ]
-    return documents.table(("cause", "it means", "deceleration", "latched"), rows)
+    return tables.table(("cause", "it means", "deceleration", "latched"), rows)
 
 
 _TESTS: Final = "tests/unit/gateway/chassis/cruiser/test_gate"
@@ -133,13 +160,13 @@ def bus_frame_table() -> str:
         (f"`0x{hex_identifier(can_id)}`", names[can_id], _bits(used), values.get(can_id, "0, 1 each"))
         for can_id, used in gate.USED_BITS.items()
     ]
-    return documents.table(("identifier", "frame", "bits that may be set", "their values"), rows)
+    return tables.table(("identifier", "frame", "bits that may be set", "their values"), rows)
 
 
 def bus_rule_table() -> str:
     """Every rule of the gate, with its test."""
     rows = [(what, passes, f"`{_TESTS}{test}`") for what, passes, test in BUS_RULES]
-    return documents.table(("what", "passes", "test"), rows)
+    return tables.table(("what", "passes", "test"), rows)
 
 
 def _bits(used: int) -> str:
@@ -176,28 +203,99 @@ def metric_table() -> str:
         for kind, measures in MEASURES.items()
         for measure in measures
     ]
-    return documents.table(("metric", "label", "field"), rows)
+    return tables.table(("metric", "label", "field"), rows)
 
 
 def finding_table() -> str:
     """Every finding of ``cruiser doctor``, with its cure; a note is said to be one."""
     rows = [(f"`{check.name}`{' (note)' if check.is_note else ''}", check.means, check.cure) for check in CHECKS]
-    return documents.table(("finding", "it means", "cure"), rows)
+    return tables.table(("finding", "it means", "cure"), rows)
 
 
-PARTS: Final[dict[str, Part]] = {
+def library() -> str:
+    """Return the signatures and docstrings of all that a program imports."""
+    return "\n\n".join(map(_described, LIBRARY))
+
+
+def _described(one: Any) -> str:
+    """Return a class with its public members, or a function."""
+    name = one.__qualname__
+    lines = [f"## `{name}{_signature(one)}`", _prose(one)]
+    for member, value in vars(one).items() if isinstance(one, type) else ():
+        inner = value.__func__ if isinstance(value, classmethod) else value
+        if member.startswith("_") or not (inspect.isfunction(inner) or isinstance(inner, property)):
+            continue
+        label = f"{name}.{member}" + ("" if isinstance(inner, property) else _signature(inner))
+        lines.append(f"**`{label}`** {_prose(inner)}")
+    return "\n\n".join(line for line in lines if line)
+
+
+def _signature(one: Any) -> str:
+    """Return the arguments without their types, which the text names where a name does not."""
+    if isinstance(one, type) and not issubclass(one, BaseException) and not hasattr(one, "__struct_fields__"):
+        return ""
+    if isinstance(one, type) and issubclass(one, BaseException):
+        return ""
+    signature = inspect.signature(one)
+    shown = [
+        parameter.replace(annotation=inspect.Parameter.empty)
+        for parameter in signature.parameters.values()
+        if parameter.name not in {"self", "cls"}
+    ]
+    text = re.sub(r"<function .*? at \w+>", "...", str(inspect.Signature(shown)))
+    return re.sub(r"<([\w.]+): .*?>", r"\1", text).replace(str(END_OF_TIME_NS), "END_OF_TIME_NS")
+
+
+def _prose(one: Any) -> str:
+    """Return a docstring as Markdown: its sections as lists, its literals in single backticks."""
+    text = inspect.cleandoc(one.__doc__ or "").replace("``", "`")
+    head, *sections = re.split(r"^(?=(?:Args|Attributes|Raises):$)", text, flags=re.MULTILINE)
+    items: list[str] = []
+    for section in sections:
+        rows = re.split(r"^    (?=\S)", section.partition("\n")[2], flags=re.MULTILINE)[1:]
+        named = [re.sub(r"\s+", " ", row).strip().partition(": ") for row in rows]
+        title = {"Args": "", "Attributes": "", "Raises": "raises "}[section.partition(":")[0]]
+        items += [f"- {title}`{name}`: {text}" for name, _, text in named]
+    return "\n\n".join(filter(None, [head.strip(), "\n".join(items)]))
+
+
+PARTS: Final[dict[str, tables.Part]] = tables.PARTS | {
     "bus-frames": bus_frame_table,
     "bus-rules": bus_rule_table,
     "findings": finding_table,
+    "library": library,
     "metrics": metric_table,
     "states": state_diagram,
     "stops": stop_table,
 }
 
 
-def main(words: Sequence[str] | None = None) -> int:
-    """Rewrites the documents, or with ``--check`` only says which ones are not current."""
-    return documents.main(words, documents.PARTS | PARTS)
+def rewrite(text: str) -> str:
+    """Return the document with every generated part current."""
+
+    def replace(match: re.Match[str]) -> str:
+        if match[1] not in PARTS:
+            raise SystemExit(f"there is no generated part {match[1]!r}; there are {', '.join(PARTS)}")
+        return f"<!-- generated: {match[1]} -->\n\n{PARTS[match[1]]()}\n\n<!-- end -->"
+
+    return re.sub(r"<!-- generated: ([\w-]+) -->\n.*?<!-- end -->", replace, text, flags=re.DOTALL)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document is not current")
+    parser.add_argument("--root", type=Path, default=ROOT, help="the project's directory")
+    arguments = parser.parse_args()
+    stale = 0
+    for path in [arguments.root / "README.md", *sorted(arguments.root.glob("docs/*.md"))]:
+        text = path.read_text(encoding="utf-8")
+        current = rewrite(text)
+        if current != text:
+            stale += 1
+            if not arguments.check:
+                path.write_text(current, encoding="utf-8")
+            sys.stderr.write(f"{'stale' if arguments.check else 'wrote'} {path}\n")
+    return int(bool(stale)) if arguments.check else 0
 
 
 if __name__ == "__main__":
