@@ -1,12 +1,12 @@
-"""The door of a robot in signed mode: who sent a request, what that person may do; statements worth a look. Pure.
+"""Signed mode on the robot: check who sent a request, and choose which statements to verify. Pure.
 
-``admit`` goes before the arbiter and gives it a verdict; ``reply`` goes behind it and signs. The arbiter, and the
-journal, hold verdicts and public keys alone. A remote stop needs no proof: with one the record says who it was.
+``admit`` runs before the arbiter and adds a verdict; ``reply`` runs after it and signs. Arbiter and journal see
+verdicts and public keys only. A remote stop needs no proof; a proof only records who sent it.
 
-The sieve chooses the statements that a robot verifies in a tick: no flood of them keeps a revocation out. A
-signature costs a hundred times as much as a look at the text. So the text alone says of which kind a statement
-claims to be, and each kind has room of its own: what is junk, stale or of another authority is in nobody's way.
-Within a kind chance decides, since whoever floods would find out any other order.
+The sieve chooses the statements that a robot verifies in a tick, so that no flood delays a revocation. Checking a
+signature costs a hundred times as much as reading the text, so statements are sorted by the kind that their text
+claims, and each kind has its own queue. Within a kind the choice is random: a sender could exploit any other
+order.
 """
 
 from __future__ import annotations
@@ -33,42 +33,34 @@ from schemas.requests import Acquire, Leased, Role, Take
 from schemas.settings import Settings
 from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
-CHALLENGE_MAX_NS: Final = 2_000_000_000
-"""A verb that echoes an older challenge is too old. Zenoh delivers it again, or late, for less."""
-
-NONCE_KEPT_NS: Final = 4_000_000_000  # longer than a challenge is taken: what is forgotten is too old by then
-GRANTS_KEPT: Final = 256  # grants that are known at a time; beyond it the one that was not used for longest goes
-
-TAGS_PER_TICK: Final = 256
-"""Tags that are checked in a tick at most, 1 ms, to put the holder's drive commands before others'."""
-
-SIGNATURES_PER_TICK: Final = 4
-"""Signatures of verbs that are checked in a tick at most, 0.5 ms; the rest is refused as busy."""
-
-HOLDERS_PER_TICK: Final = 4
-"""Signatures besides, of verbs with the tag of the lease: nobody but its holder makes one."""
+CHALLENGE_MAX_NS: Final = 2_000_000_000  # a verb that echoes an older challenge is refused as too old
+NONCE_KEPT_NS: Final = 4_000_000_000  # longer than CHALLENGE_MAX_NS: by then a repeated request is too old
+GRANTS_KEPT: Final = 256  # known grants; beyond it the least recently used one is dropped
+TAGS_PER_TICK: Final = 256  # most tags checked in a tick (1 ms), to handle the holder's drive commands first
+SIGNATURES_PER_TICK: Final = 4  # most signatures of verbs checked in a tick (0.5 ms); the rest is refused as busy
+HOLDERS_PER_TICK: Final = 4  # further signatures, of verbs with the lease's tag, which only its holder can make
 
 ROLES: Final = {
     GrantRole.PROGRAM: Role.PROGRAM,
     GrantRole.OPERATOR: Role.OPERATOR,
     GrantRole.SUPERVISOR: Role.SUPERVISOR,
 }
-"""Who may hold a lease, and as what."""
+"""Roles of grants whose holders may hold a lease, and their role as its holder."""
 
 
 class _Asked(msgspec.Struct, frozen=True):
-    """A query until its reply is known, with the grant of who sent it, if that was proven."""
+    """A query that waits for its reply, with the sender's grant if the sender was proven."""
 
     raw: RawRequest
     sender: HeldGrant | None
 
 
 class GivenLease(msgspec.Struct, frozen=True):
-    """A lease as it was given.
+    """The lease that was given last.
 
     Attributes:
-        holder: the grant under which it was asked for.
-        tags: of its drive commands; None if the holder sent no public key that can be used, so that nobody drives.
+        holder: the grant under which it was requested.
+        tags: those of its drive commands; None if the holder sent no usable public key, and so cannot drive.
     """
 
     id: int
@@ -81,8 +73,8 @@ class SignedAdmission:
 
     Attributes:
         lease: the last one that was given; None before the first.
-        now_s: the time by which grants are judged, seconds since 1970; it is kept from outside.
-        challenge_age_ns: the age of a challenge, or why it is not known.
+        now_s: the time by which grants are judged, seconds since 1970; the owner updates it.
+        challenge_age_ns: returns the age of a challenge, or the reason why it is unknown.
     """
 
     def __init__(
@@ -110,10 +102,10 @@ class SignedAdmission:
     # Grants.
 
     def introduce(self, chain: list[Signed]) -> HeldGrant | Objection:
-        """Somebody shows a grant with its chain. From anyone: what counts are the signatures.
+        """Accept a grant, from any sender: only its signature counts.
 
         Returns:
-            The grant as it is known from now on: the same object if nothing is new.
+            The known grant: the same object as before if it was known already.
         """
         known = self._grants.get(chain[0].id)
         if known is not None and self.trust.objection(known, self.now_s) is not None:
@@ -124,7 +116,7 @@ class SignedAdmission:
         if isinstance(held, Objection):
             return held
         if not held.grant.covers(self._robot):
-            return Objection(Reason.NOT_GRANTED, f"it is not for {self._robot}")
+            return Objection(Reason.NOT_GRANTED, f"it does not cover {self._robot}")
         self._grants[held.id] = held
         if len(self._grants) > GRANTS_KEPT:
             self._grants.popitem(last=False)
@@ -134,24 +126,24 @@ class SignedAdmission:
         return self._grants.get(grant_id)
 
     def objection_to_holder(self) -> Objection | None:
-        """Why the grant under which the last lease was given does not hold any more; None if it does."""
+        """Return why the grant of the last lease is no longer valid; None if it is valid."""
         return None if self.lease is None else self.trust.objection(self.lease.holder, self.now_s)
 
     # Requests.
 
     def begin_tick(self, now_ns: int) -> None:
-        """A tick begins: a bounded number of signatures can be checked again."""
+        """Allow the next bounded number of checks, and forget old nonces."""
         self._left, self._tags_left = SIGNATURES_PER_TICK, TAGS_PER_TICK
         self._holders_left = HOLDERS_PER_TICK
         while self._nonces and now_ns - next(iter(self._nonces.values())) > NONCE_KEPT_NS:
             self._nonces.popitem(last=False)
 
     def number_of(self, lease_id: int) -> int:
-        """The number of a lease in its holder's requests: its identifier, for the key is the secret here."""
+        """The lease's number in its holder's requests: the identifier itself, since the key is the secret."""
         return lease_id
 
     def may_be_holders(self, verb: str, payload: bytes, attachment: bytes) -> bool:
-        """Does it come from the lease's holder, by its tag? A verb's signature is not checked here."""
+        """Return True if its tag is that of the lease's holder. A verb's signature is not checked here."""
         if self.lease is None or self.lease.tags is None:
             return False
         self._tags_left -= 1
@@ -166,7 +158,7 @@ class SignedAdmission:
         return self._is_tagged(proof, proof.signed(key, command.encoding, payload))
 
     def _is_tagged(self, proof: RequestProof, text: bytes) -> bool:
-        """Return True if a verb's tag is of the lease: so its signature will be the holder's."""
+        """Return True if a verb's tag was made with the lease's key."""
         lease = self.lease
         return (
             lease is not None
@@ -176,10 +168,10 @@ class SignedAdmission:
         )
 
     def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
-        """The request with what is proven of its sender. A stop is served in any case; its proof says by whom."""
+        """Add to a request what is proven about its sender. A stop is served without proof too."""
         held: HeldGrant | Objection
         if raw.fault:
-            # It was signed as what another version calls it, so nothing can be proven of it.
+            # It was signed under another version's encoding, so its proof cannot be checked.
             held = Objection(Reason.MALFORMED)
         else:
             held = self._judge_drive(raw) if raw.verb == DRIVE_VERB else self._judge_verb(raw, now_ns)
@@ -198,7 +190,7 @@ class SignedAdmission:
         return lease.holder if lease.tags.fits(raw.attachment, raw.payload) else Objection(Reason.PROOF_WRONG)
 
     def _judge_verb(self, raw: RawRequest, now_ns: int) -> HeldGrant | Objection:
-        """Judge a signed verb, the cheapest question first: the signature takes a hundred times as long."""
+        """Judge a signed verb, the cheapest check first: the signature takes a hundred times as long."""
         command, proof = BY_VERB.get(raw.verb), RequestProof.read(raw.attachment)
         if proof is None or command is None:
             return Objection(Reason.PROOF_MISSING)
@@ -216,7 +208,7 @@ class SignedAdmission:
         return self._objection_to_lease(raw, held) or held
 
     def _may_check(self, proof: RequestProof, text: bytes) -> bool:
-        """Return True if a signature more can be checked in this tick: of the holder's, or of all others'."""
+        """Return True if this tick allows another signature check: of the holder, or of any sender."""
         if self._holders_left > 0 and self._is_tagged(proof, text):
             self._holders_left -= 1
             return True
@@ -224,16 +216,16 @@ class SignedAdmission:
         return self._left >= 0
 
     def _objection_to_lease(self, raw: RawRequest, held: HeldGrant) -> Objection | None:
-        """Why somebody with this grant may not use the lease that a request names: it is another grant's.
+        """Return an objection if the request names a lease that was given to another grant.
 
-        The arbiter knows holders by their names alone, and two grants may have the same.
+        The arbiter knows holders by name only, and two grants may have the same name.
         """
         lease = self.lease
         if lease is None or lease.holder.id == held.id:
             return None
         request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
         if isinstance(request, Leased) and request.lease == lease.id:
-            return Objection(Reason.NO_LEASE, "it was given to another grant")
+            return Objection(Reason.NO_LEASE, "the lease belongs to another grant")
         return None
 
     def _freshness(self, proof: RequestProof, now_ns: int) -> Objection | None:
@@ -252,7 +244,7 @@ class SignedAdmission:
         if objection is not None:
             return objection
         if held.grant.name != raw.operator or held.grant.role not in ROLES:
-            return Objection(Reason.NOT_GRANTED, f"it is of {held.grant.name}, {held.grant.role.value}")
+            return Objection(Reason.NOT_GRANTED, f"it is for {held.grant.name}, {held.grant.role.value}")
         if raw.verb != STOP_VERB and raw.verb not in held.grant.verbs:
             return Objection(Reason.NOT_GRANTED, f"{raw.verb} is not among its verbs")
         return held
@@ -260,14 +252,14 @@ class SignedAdmission:
     # Replies.
 
     def reply(self, pending: PendingReply) -> PendingReply:
-        """The reply as its receiver gets it: signed, and with the robot's key if it gives a lease."""
+        """Sign a reply, and add the robot's public key if it gives a lease."""
         asked = self._asking.pop(pending.handle, None)
         if asked is None:
             return pending
         raw = asked.raw
         command = BY_VERB.get(raw.verb)
         if command is None or not raw.operator:
-            # Asked under a key that is no command's: there is no expression to sign the reply for.
+            # The query's key names no command, so there is no key expression to sign the reply for.
             return pending
         payload = pending.payload
         if asked.sender is not None:
@@ -277,7 +269,7 @@ class SignedAdmission:
         return msgspec.structs.replace(pending, payload=payload, attachment=attachment)
 
     def _give_lease(self, raw: RawRequest, sender: HeldGrant, payload: bytes) -> bytes:
-        """Note who holds the lease that the reply gives, and agree with the holder on its key."""
+        """Note the holder of the lease that the reply gives, and agree on the lease's key."""
         request = codec.decode_request(BY_VERB[raw.verb], raw.payload)
         if not isinstance(request, Acquire | Take):
             return payload
@@ -310,20 +302,18 @@ _ENCODER: Final = msgspec.msgpack.Encoder()
 _LEASE_REPLY: Final = msgspec.msgpack.Decoder(LeaseReply)
 
 
-WORDS_PER_TICK: Final = 4
-"""New lists of revocations, and rotations, that are verified in a tick: one signature each, 0.5 ms in all."""
-
-KEPT_WAITING: Final = 16  # statements of a kind that wait for the next tick; of more than that, chance drops some
+WORDS_PER_TICK: Final = 4  # new lists of revocations, and rotations, verified in a tick (0.5 ms)
+KEPT_WAITING: Final = 16  # statements of a kind that wait for the next tick; the excess is dropped at random
 
 
 class StatementKind(Enum):
-    """The kind of a statement, by its text alone: what it says may be forged."""
+    """The kind of a statement by its text, which may be forged."""
 
     WORD = "a newer list of revocations, or rotation, in the name of the authority or the standby"
     KNOWN = "a grant that was verified"
     NEW = "a grant in the name of the authority"
-    QUESTION = "nothing: somebody asks the robot who it is"
-    REST = "whatever else"
+    QUESTION = "empty: a client asks the robot for its identity"
+    REST = "anything else"
 
 
 _Item = TypeVar("_Item")
@@ -331,7 +321,7 @@ _CHANCE: Final = SystemRandom()
 
 
 class StatementSieve(Generic[_Item]):
-    """Statements that wait to be verified, by kind."""
+    """Queues of statements to verify, by kind."""
 
     def __init__(
         self,
@@ -341,14 +331,14 @@ class StatementSieve(Generic[_Item]):
         self._admission = admission
         self._sample = sample
         self._waiting: dict[StatementKind, list[_Item]] = {kind: [] for kind in StatementKind}
-        # The kind that was chosen last is the last to be chosen again.
+        # The kinds in turn, the one chosen last at the end.
         self._turns: list[StatementKind] = [kind for kind in StatementKind if kind is not StatementKind.WORD]
 
     def choose(self, arrived: Iterable[tuple[bytes, _Item]]) -> list[_Item]:
-        """The statements that are verified in this tick, of those that have arrived and those that waited.
+        """Choose the statements to verify in this tick, from the new and the waiting ones.
 
         Args:
-            arrived: the text of each, and what stands for it.
+            arrived: text and item of each new statement.
         """
         for text, item in arrived:
             self._waiting[self.kind_of(text)].append(item)

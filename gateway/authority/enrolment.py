@@ -1,14 +1,14 @@
 """Access to Zenoh by role, as a Zenoh configuration, and the enrolment of robots and people. Pure.
 
-The role of a node is the common name (CN) of its certificate. One table says what each role sends to the router
-and receives from it; the router's file has all of it, the file of any other node its own rows, with the router at
-the other end. What is in no row is denied, and Zenoh says nothing of it to anybody. This bounds what a stranger or
-a node that was taken over reaches. It lets nobody command a robot: for that a request is signed.
+The role of a node is the common name (CN) of its certificate. One table lists what each role may send to the
+router and receive from it: the router's file has the whole table, any other node's file its own rows. Everything
+else is denied, and Zenoh drops it silently. This limits what a stranger or a compromised node can reach.
+Commanding a robot takes a signed request as well.
 
-An enrolment is a request, which leaves the machine where the keys stay, and a bundle in answer. A request is JSON,
-and all of it is signed by each key in it: the Ed25519 key that the grant is to be for, and the TLS key of the
-request for a certificate. A bundle is two lines, like a statement: JSON, and the authority's signature over it.
-Their fingerprints, which people compare, cover all that is decided by them.
+An enrolment is a request and the bundle that answers it; the private keys stay on the machine that made the
+request. A request is JSON, signed as a whole by each key in it: the Ed25519 key for the grant, and the TLS key. A
+bundle is two lines, like a statement: JSON, and the authority's signature over it. The fingerprints that people
+compare cover everything that request and bundle decide.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from schemas.zenoh_session import WITH_NAMES, Json, session_settings
 class TransportRole(Enum):
     """The role of a node of the network: the common name of its certificate.
 
-    Nobody is ``nothing``: no row of the table has this role. A robot tests with it that it is shut out.
+    ``nothing`` has no row in the table: a robot uses it to test that the router enforces the rules.
     """
 
     ROBOT = "robot"
@@ -74,17 +74,10 @@ class TransportRole(Enum):
 
 _R = TransportRole
 
-LISTENING: Final = frozenset({_R.ROUTER, _R.DESK})
-"""Roles whose certificates may be a server's. All others only dial out."""
-
-MESSAGE_MAX_BYTES: Final = 1 << 20
-"""The largest message that a node receives; Zenoh drops a larger one while it arrives."""
-
-COMMAND_MAX_BYTES: Final = 2 * REQUEST_MAX_BYTES
-"""The largest request for a verb, its proof included. None is set for a stop: it is never filtered."""
-
+LISTENING: Final = frozenset({_R.ROUTER, _R.DESK})  # roles whose certificates may be used by a server
+MESSAGE_MAX_BYTES: Final = 1 << 20  # Zenoh drops a larger message while it arrives
+COMMAND_MAX_BYTES: Final = 2 * REQUEST_MAX_BYTES  # of a request with its proof; a stop is never filtered
 STATEMENT_MAX_BYTES: Final = TEXT_MAX_BYTES + REQUEST_MAX_BYTES
-
 HISTORY: Final = "@adv/**"  # the key suffix where advanced publishers answer queries for earlier samples
 
 Flow = Literal["ingress", "egress"]
@@ -92,11 +85,11 @@ _TURNED: Final[dict[str, Flow]] = {"ingress": "egress", "egress": "ingress"}
 
 
 class AccessRow(msgspec.Struct, frozen=True):
-    """A row of the table: what nodes of these roles send to the router, or receive from it.
+    """A row of the table: messages that nodes of these roles may send to the router, or receive from it.
 
     Attributes:
         flow: ingress is what the router receives from them, egress what they receive from it.
-        keys: key expressions; a message passes if one of them includes all of its own.
+        keys: key expressions; a message passes if one of them includes its key expression.
     """
 
     id: str
@@ -107,11 +100,11 @@ class AccessRow(msgspec.Struct, frozen=True):
 
 
 def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
-    """All that may be said between the router and any node.
+    """Every message that is allowed between the router and a node.
 
     Args:
-        robot: the name of the robot whose own file it is for: it speaks, and is spoken to, under this name alone,
-            but for a stop or a statement that is for all robots. The router does not know robots' names.
+        robot: in a robot's own file its name: apart from stops and statements for all robots it uses this name
+            only. In the router's file ``*``: the router does not know the robots' names.
     """
     one, every = f"{root}/{robot}", f"{root}/{keys.ALL}"
     everything = f"{root}/**"
@@ -131,14 +124,14 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
     subscribe, queryable = "declare_subscriber", "declare_queryable"
     told = (subscribe, queryable)
     return [
-        # A robot publishes, answers for what it published, and finds out whether its name is free.
+        # A robot publishes, answers queries for its history, and checks whether its name is free.
         AccessRow("robot-publishes", robots, "ingress", ("put", "reply", queryable), own),
         AccessRow("robot-is-there", robots, "ingress", ("liveliness_token",), token),
         AccessRow("robot-looks", robots, "ingress", ("liveliness_query", "query"), (token[0], f"{one}/gateway/*")),
         AccessRow("robot-finds", robots, "egress", ("liveliness_token", "reply"), (token[0], f"{one}/gateway/*")),
         AccessRow("robot-is-subscribed", robots, "egress", (subscribe,), (*seen, everything)),
         AccessRow("robot-is-queried", robots, "egress", ("query",), seen),
-        # A robot is commanded. Of what is for all robots it receives a stop, and a statement of the authority.
+        # A robot receives commands. Of those for all robots it receives stops and statements of the authority.
         AccessRow("robot-listens", robots, "ingress", told, (commands,)),
         AccessRow("robot-listens-to-the-authority", robots, "ingress", (queryable,), (statement,)),
         AccessRow("robot-is-commanded", robots, "egress", ("put",), put),
@@ -158,10 +151,10 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
             (*tokens, recorders),
         ),
         AccessRow("people-find", people, "egress", ("liveliness_token",), (*tokens, recorders)),
-        # Anybody asks a robot who it is, to believe it: it is shown a statement, or nothing.
+        # People query a robot's identity, with a statement or with an empty payload.
         AccessRow("people-show", people, "ingress", ("query",), (all_statements,)),
         AccessRow("people-are-told", people, "egress", ("reply", queryable), (all_statements,)),
-        # Anybody stops a robot; who may command them, all at once.
+        # Every person may stop one robot; operators and desks may stop all at once.
         AccessRow("viewer-stops-one", viewers, "ingress", ("put", "query"), tuple(_single(root, STOP_VERB))),
         AccessRow("people-reach", people, "egress", told, (all_commands,)),
         AccessRow("viewer-is-answered", viewers, "egress", ("reply",), (all_stops,)),
@@ -170,7 +163,7 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
         AccessRow("operator-is-answered", commanding, "egress", ("reply",), (all_commands,)),
         AccessRow("operator-orders", commanding, "ingress", ("query",), orders),
         AccessRow("operator-is-obeyed", commanding, "egress", ("reply", queryable), orders),
-        # A recorder receives everything but commands, and fetches what it lacks from robots.
+        # A recorder receives everything except commands, and fetches missing samples from robots.
         AccessRow("recorder-subscribes", recording, "ingress", (subscribe,), (everything, *says)),
         AccessRow("recorder-receives", recording, "egress", ("put",), (everything, *says)),
         AccessRow("recorder-fetches", recording, "ingress", ("query",), seen),
@@ -194,10 +187,10 @@ def access_table(root: str, robot: str = keys.ALL) -> list[AccessRow]:
 def zenoh_configuration(
     role: TransportRole, root: str, directory: PurePath, endpoints: Sequence[str], robot: str = ""
 ) -> dict[str, Json]:
-    """The Zenoh configuration of a node, to be written as JSON, which is JSON5.
+    """The Zenoh configuration of a node, to be written as JSON.
 
     Args:
-        endpoints: where a router listens; for any other node, where the routers are.
+        endpoints: those a router listens on; for any other node, those of the routers.
     """
     protocols = sorted({_protocol(endpoint) for endpoint in endpoints})
     if not protocols:
@@ -208,7 +201,7 @@ def zenoh_configuration(
     settings = ZenohSettings()
     configuration = _nested(session_settings(settings, *(((), endpoints) if is_router else (endpoints, ()))))
     configuration |= {"mode": "router" if is_router else "client"}
-    # zenohd has its admin space on, whatever a file says; who may read and write there, it leaves to the file.
+    # zenohd always enables its admin space; the file decides only about reading and writing there.
     configuration["adminspace"] = {"enabled": False, "permissions": {"read": False, "write": False}}
     if is_router:
         configuration["timestamping"] = {"enabled": True}
@@ -226,7 +219,7 @@ def zenoh_configuration(
 
 
 def tls_configuration(role: TransportRole, directory: PurePath) -> dict[str, Json]:
-    """The files of a node's certificate. Who does not listen has none to listen with."""
+    """The TLS part of a node's configuration; only roles that listen get a certificate to listen with."""
     certificate, key = (str(directory / name.format(who=role.value)) for name in (CERTIFICATE_FILE, TLS_KEY_FILE))
     ends = ("connect", "listen") if role in LISTENING else ("connect",)
     files = {f"{end}_certificate": certificate for end in ends} | {f"{end}_private_key": key for end in ends}
@@ -240,12 +233,11 @@ def tls_configuration(role: TransportRole, directory: PurePath) -> dict[str, Jso
 
 
 TLS_KEY_FILE, CERTIFICATE_FILE, CA_FILE = "{who}-tls.key", "{who}-tls.pem", "ca.pem"
-SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)
-"""A robot's certificate without any right, for the key of its other one."""
+SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)  # of the role that may do nothing
 
 
 def _published(robot: str) -> tuple[str, ...]:
-    """Return the key expressions that a robot publishes, and those of its histories."""
+    """Return the key expressions under which a robot publishes, and those of its histories."""
     parts = (re.sub(r"[^/]+", "*", rest) for rest in (subject.name.partition("/")[2] for subject in SUBJECTS))
     firsts = (subject.name.partition("/")[0] for subject in SUBJECTS)
     names = dict.fromkeys("/".join(filter(None, pair)) for pair in zip(firsts, parts, strict=True))
@@ -253,7 +245,7 @@ def _published(robot: str) -> tuple[str, ...]:
 
 
 def _verbs(robot: str, other: Asking) -> tuple[str, ...]:
-    """The verbs that are not sent in this way alone."""
+    """The keys of all verbs but those that are sent in this way only."""
     names = (command.verb for command in COMMANDS if command.asking is not other)
     return tuple(f"{robot}/{COMMAND_CHUNK}/*/{verb}" for verb in names)
 
@@ -264,16 +256,17 @@ def _histories(robot: str) -> tuple[str, ...]:
 
 
 def _single(root: str, verb: str) -> Iterator[str]:
-    """Key expressions of a verb that include each robot's, and not that of all robots at once."""
+    """Key expressions of a verb that include each robot's key, but not the key for all robots at once."""
     for letter in (*ascii_lowercase, *digits, "-"):
         yield f"{root}/{letter}$*/{COMMAND_CHUNK}/*/{verb}"
 
 
 def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole, ...]) -> dict[str, Json]:
-    """Zenoh's form of the rows. Every subject has names: one without would be everybody.
+    """Zenoh's form of the rows. Every subject names roles: one without names would match every node.
 
     Args:
-        at_the_other_end: of the links; empty for the router, at whose other ends are the roles of the rows.
+        at_the_other_end: the roles at the other end of the links; empty for the router, which uses those of the
+            rows.
     """
     rules: list[Json] = [
         {
@@ -304,7 +297,7 @@ def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole
 
 
 def _size_limits(root: str) -> list[Json]:
-    """No request is larger than it can be. A stop is of any size: nothing filters it."""
+    """Limits on the size of requests and statements. A stop has none: it is never filtered."""
     every, recorders = f"{root}/{keys.ALL}", f"{root}/{RECORDER_CHUNK}/*"
     verbs = [f"{every}/{COMMAND_CHUNK}/*/{command.verb}" for command in COMMANDS if command.verb != STOP_VERB]
     limits = (
@@ -326,12 +319,12 @@ def _size_limits(root: str) -> list[Json]:
 def _protocol(endpoint: str) -> str:
     protocol = endpoint.partition("/")[0]
     if protocol not in WITH_NAMES:
-        raise ValueError(f"{endpoint} is of a protocol without certificates; {' and '.join(WITH_NAMES)} have them")
+        raise ValueError(f"{endpoint} uses no certificates: give a {' or '.join(WITH_NAMES)} endpoint")
     return protocol
 
 
 def _nested(entries: dict[str, Json]) -> dict[str, Json]:
-    """Values by path, as Zenoh's file has them: one in the other."""
+    """Values by path as nested tables, as in Zenoh's file."""
     whole: dict[str, Json] = {}
     for path, value in entries.items():
         *parents, last = path.split("/")
@@ -347,7 +340,7 @@ def _nested(entries: dict[str, Json]) -> dict[str, Json]:
 
 _T = TypeVar("_T")
 
-ENROLMENT_MAX_BYTES: Final = 65_536  # no request and no bundle is longer
+ENROLMENT_MAX_BYTES: Final = 65_536  # of a request or a bundle
 
 
 class EnrolmentRole(Enum):
@@ -366,7 +359,7 @@ class EnrolmentRole(Enum):
 
     @property
     def is_granted(self) -> bool:
-        """True if the role signs, and so needs a key and a grant besides its certificate."""
+        """True if the role signs, and so needs a key and a grant as well as a certificate."""
         return self in _GRANTED
 
 
@@ -376,31 +369,30 @@ _GRANTED: Final = {
     EnrolmentRole.OPERATOR: {GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR},
     EnrolmentRole.RECORDER: {GrantRole.RECORDER},
 }
-"""The roles of a grant that each role of an applicant may get; all other roles get none."""
+"""The roles of grants that an applicant's role allows; any other role gets no grant."""
 
-REQUEST_VERSION: Final = 2
-"""Requests of before name none: neither their signature nor their fingerprint covers the key for the grant."""
+REQUEST_VERSION: Final = 2  # version 1 names none; its signature and fingerprint did not cover the grant's key
 
 Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+\Z", max_length=256)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}\Z")]
 
 
 class EnrolmentError(CommandError):
-    """A request or a bundle that cannot be used: one line, to which who read the file adds its name."""
+    """A request, bundle or certificate that cannot be used: one line; the caller adds the file's name."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message, ExitCode.USAGE)
 
 
 class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A request to be let in.
+    """A request for enrolment.
 
     Attributes:
         names: of the robot, the person, or the hosts; the first one is the name in a grant.
-        csr: request for a certificate, PEM; empty in a browser's, which connects with its desk's.
-        key: for the grant, Ed25519; none where none is wanted.
-        proof: signature of that key, hexadecimal; none where there is no key.
-        csr_proof: signature of the key in ``csr`` (ECDSA, SHA-256, DER), hexadecimal; none without ``csr``.
+        csr: certificate request, PEM; empty in a browser's request: a browser uses its desk's certificate.
+        key: for the grant, Ed25519; absent if the role gets no grant.
+        proof: signature by ``key``, hexadecimal; absent without it.
+        csr_proof: signature by the key in ``csr`` (ECDSA, SHA-256, DER), hexadecimal; absent without ``csr``.
     """
 
     version: int = 1
@@ -428,11 +420,11 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """The answer to an enrolment: certificates, keys of the authority and a grant.
 
     Attributes:
-        certificate: for the TLS key, and of who signed it, PEM; empty where none was asked for.
-        shut_out: the same of the role ``nothing``, by which a robot tests its network; empty for all others.
-        ca: the network's authority, PEM.
-        chain: the grant; empty where none is wanted.
-        signer: empty; of earlier versions the site that made the bundle.
+        certificate: for the TLS key, PEM; empty if none was requested.
+        shut_out: the same with the role ``nothing``, for a robot's test of its network; empty for any other role.
+        ca: the certificate of the network's authority, PEM.
+        chain: the grant; empty if the role gets none.
+        signer: always empty.
     """
 
     role: EnrolmentRole
@@ -457,7 +449,7 @@ def new_request(
     private: Ed25519PrivateKey | None,
     tls: ec.EllipticCurvePrivateKey | None,
 ) -> EnrolmentRequest:
-    """A request, proven by each of its keys."""
+    """A request, signed by each of its keys."""
     key = None if private is None else private.public_key().public_bytes_raw().hex()
     request = EnrolmentRequest(version=REQUEST_VERSION, role=role, names=names, csr=csr, key=key)
     text = request.signed()
@@ -470,19 +462,19 @@ def new_request(
 
 
 def read_request(text: bytes) -> EnrolmentRequest:
-    """A request, both of its proofs checked."""
+    """A request whose proofs were checked."""
     request = _decoded(text, EnrolmentRequest, "request")
     if request.version != REQUEST_VERSION:
         raise EnrolmentError(
-            f"it is a request of version {request.version}, whose fingerprint does not cover its key. Bring "
-            "Cruiser Gateway there to this version, and ask again: "
-            f"'cruiser provision renew {request.role.value}'; in a browser, load the page again and save another"
+            f"it is a request of version {request.version}, whose fingerprint does not cover its key. Upgrade "
+            f"Cruiser Gateway there, and make a new request: 'cruiser provision renew {request.role.value}'; in a "
+            "browser, reload the page and save another"
         )
     if request.role.is_granted != (request.key is not None):
-        why = "is granted nothing, and has a key" if request.key else "has no key for its grant"
-        raise EnrolmentError(f"{request.role.value} {why}")
+        why = "gets no grant, but the request has a key" if request.key else "needs a grant, and has no key"
+        raise EnrolmentError(f"a {request.role.value} {why}")
     if not request.csr and request.role is not EnrolmentRole.OPERATOR:
-        raise EnrolmentError(f"a {request.role.value} needs a certificate, and asks for none")
+        raise EnrolmentError(f"a {request.role.value} needs a certificate, and requests none")
     pattern = ROBOT_PATTERN if request.role in _NAMED_AS_ROBOTS else OPERATOR_PATTERN
     if request.role.is_granted and (len(request.names) > 1 or re.fullmatch(pattern, request.names[0]) is None):
         raise EnrolmentError(f"a {request.role.value} has one name, of the form {pattern}")
@@ -491,7 +483,7 @@ def read_request(text: bytes) -> EnrolmentRequest:
 
 
 def _check_proofs(request: EnrolmentRequest) -> None:
-    """Check that each key in a request has signed all of it, and that there is no proof of another."""
+    """Check that each key in a request signed all of it, and that there are no further proofs."""
     text, proof, csr_proof = (
         request.signed(),
         bytes.fromhex(request.proof or ""),
@@ -506,7 +498,7 @@ def _check_proofs(request: EnrolmentRequest) -> None:
 
 
 def _has_signed(csr: str, signature: bytes, text: bytes) -> bool:
-    """Return True if it is the signature of the key of a request for a certificate over this text."""
+    """Return True if the key of the certificate request made this signature over this text."""
     try:
         key = x509.load_pem_x509_csr(csr.encode()).public_key()
         if isinstance(key, ec.EllipticCurvePublicKey):
@@ -524,7 +516,7 @@ def bundle_text(bundle: Bundle, private: Ed25519PrivateKey) -> bytes:
 
 
 def read_bundle(text: bytes, now_s: int) -> Bundle:
-    """A bundle whose maker, and whose grant, were held against the authority that it names itself."""
+    """A bundle whose signature and grant were checked against the authority that the bundle names."""
     body, _, proof = text.rstrip(b"\n").partition(b"\n")
     match = _PROOF.fullmatch(proof)
     bundle = _decoded(body, Bundle, "bundle")
@@ -542,33 +534,33 @@ def read_bundle(text: bytes, now_s: int) -> Bundle:
             raise EnrolmentError(f"its grant cannot be read: {chain.detail}")
         held = trust.judge(chain, now_s)
         if isinstance(held, Objection):
-            raise EnrolmentError(f"its grant does not hold: {held.text}")
+            raise EnrolmentError(f"its grant is not valid: {held.text}")
         if held.grant.name != bundle.name or held.grant.role not in _GRANTED[bundle.role]:
-            raise EnrolmentError(f"its grant is of {held.grant.name}, {held.grant.role.value}")
+            raise EnrolmentError(f"its grant is for {held.grant.name}, {held.grant.role.value}")
     return bundle
 
 
 def chain_of(text: bytes) -> list[Signed]:
-    """The statements of a file: of a statement's own, or the grant in a bundle."""
+    """The statements in a file of statements, or the grant in a bundle."""
     chain = read_chain(text)
     if not isinstance(chain, StatementFault):
         return chain
     try:
         inner = read_chain(_decoded(text.partition(b"\n")[0], Bundle, "bundle").chain.encode())
     except EnrolmentError as error:
-        raise EnrolmentError(f"it holds no statement of an authority: {chain.detail}") from error
+        raise EnrolmentError(f"it contains no statement of an authority: {chain.detail}") from error
     if isinstance(inner, StatementFault):
-        raise EnrolmentError("the bundle holds no grant")
+        raise EnrolmentError("the bundle contains no grant")
     return inner
 
 
 def request_fingerprint(request: EnrolmentRequest) -> str:
-    """The fingerprint of a request, which covers all of it: the same however its file is laid out."""
+    """The fingerprint of the whole request, independent of its file's layout."""
     return fingerprint(request.signed())
 
 
 def authority_fingerprint(authority: AuthorityKeys, fleet: FleetPlace, ca: str) -> str:
-    """The fingerprint of an authority, which covers all that a machine takes over of it."""
+    """The fingerprint of everything that a machine installs from an authority."""
     keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))
     texts = (part.encode() for part in (ca, fleet.root, *fleet.routers))
     return fingerprint(signed_bytes(ProofKind.STATEMENT, b"authority", *keys, *texts))
@@ -576,11 +568,11 @@ def authority_fingerprint(authority: AuthorityKeys, fleet: FleetPlace, ca: str) 
 
 def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
     if len(text) > ENROLMENT_MAX_BYTES:
-        raise EnrolmentError(f"it is no {what}: longer than {ENROLMENT_MAX_BYTES} bytes")
+        raise EnrolmentError(f"not a {what}: longer than {ENROLMENT_MAX_BYTES} bytes")
     try:
         return msgspec.json.decode(text, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise EnrolmentError(f"it is no {what}: {str(error)[:200]}") from error
+        raise EnrolmentError(f"not a {what}: {str(error)[:200]}") from error
 
 
 def _signed(body: bytes) -> bytes:

@@ -1,11 +1,11 @@
-"""The operator's half: sign requests, and believe of a robot only what that robot signed. Pure.
+"""The operator's half of signed mode: sign requests, and verify what robots sign. Pure.
 
-Before anything else a robot is met: it is shown the operator's grant, and its reply has the chain of its own
-grant, which ends at the same authority. From then on its replies and states are held against its key.
+First the operator meets a robot: it sends its grant, and the robot's reply contains the robot's own grant by the
+same authority. From then on the robot's replies and states are checked with its key.
 
-What a robot signed once can be sent again by anybody who kept it. So the reply to the statement covers bytes that
-were drawn for the question: it names the run that the robot is in now. States of another run are not believed, and
-within the run none that is not newer than the one before.
+Signed samples can be recorded and replayed by a third party. The robot's reply therefore covers random bytes of
+the question and names the robot's current run. States of another run are rejected, and within a run those that are
+not newer than the last one.
 """
 
 from __future__ import annotations
@@ -50,9 +50,7 @@ from schemas.reasons import Reason
 from schemas.subjects import BY_VERB, DRIVE_VERB, SIGNED, STATEMENT_REPLY_ENCODING, STOP_VERB
 
 NONCE_BYTES: Final = 8
-
-QUESTION_BYTES: Final = 16  # drawn for each question who a robot is: a reply that was kept answers another
-
+QUESTION_BYTES: Final = 16  # random, for each query of a robot's identity, against replayed replies
 DRIVE: Final = BY_VERB[DRIVE_VERB]
 
 
@@ -60,9 +58,10 @@ class _Known(msgspec.Struct):
     """A robot that was met.
 
     Attributes:
-        boot: the run that it is in, by its newest reply to a question of ours.
-        newest: the sequence of the newest sample that was believed, by subject.
-        is_other_run_seen: it has signed a sample of another run: it was restarted, or somebody repeats an old one.
+        boot: its run, by its newest reply to one of our questions.
+        newest: the sequence of the newest sample that was accepted, by subject.
+        is_other_run_seen: a sample of another run with its signature came: it restarted, or the sample is a
+            replay.
     """
 
     key: bytes
@@ -72,10 +71,10 @@ class _Known(msgspec.Struct):
 
 
 class KnownRobots:
-    """The robots that were met: what a viewer needs to believe a robot.
+    """The robots that were met, and the checks of what they sign.
 
     Attributes:
-        statement: the grant that robots are shown, with its chain; empty where there is none.
+        statement: the grant that is sent to robots; empty without one.
     """
 
     statement = b""
@@ -88,21 +87,21 @@ class KnownRobots:
         self._unmet: dict[str, Unmet] = {}
 
     def unmet(self, robot: str) -> Unmet | None:
-        """The reason why a robot was not met at its newest answer; None if it was, or never answered."""
+        """Return why the robot's newest reply was not accepted; None if it was, or if there is none."""
         return self._unmet.get(robot)
 
     def doubt(self, robot: str) -> Unmet:
-        """The reason for which an answer of this robot cannot be verified."""
+        """Return why a reply of this robot cannot be verified."""
         unmet = self._unmet.get(robot)
         if unmet is not None and not unmet.is_refusal:
             return unmet
         return UNSIGNED if self.has_met(robot) else SILENT
 
     def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
-        """A robot's reply to the statement. Returns why it is no robot of this fleet, or refuses the grant.
+        """Check a robot's reply to the statement. Returns why it is not of this fleet, or refuses the grant.
 
         Args:
-            question: the attachment of the query, drawn for it (``new_question``).
+            question: the attachment of the query (``new_question``).
         """
         try:
             said = _STATEMENT_REPLY.decode(received.payload)
@@ -126,7 +125,7 @@ class KnownRobots:
     def _doubt(
         self, robot: str, received: Received, question: bytes, chain: list[Signed] | StatementFault
     ) -> Objection | None:
-        """Return why a reply is not of this robot; None if it is, and the robot is known from then on."""
+        """Return why a reply is not this robot's; None if it is, and the robot is known from then on."""
         proof = RobotProof.read(received.attachment)
         if isinstance(chain, StatementFault) or proof is None:
             return Objection(Reason.PROOF_MISSING, "the reply is not signed")
@@ -134,7 +133,7 @@ class KnownRobots:
         if isinstance(held, Objection):
             return held
         if held.grant.role is not GrantRole.ROBOT or held.grant.name != robot:
-            return Objection(Reason.NOT_GRANTED, f"the reply is of {held.grant.name}, not of {robot}")
+            return Objection(Reason.NOT_GRANTED, f"the reply is from {held.grant.name}, not from {robot}")
         key = keys.authority(self._root, robot)
         if not fits(
             held.key,
@@ -151,7 +150,7 @@ class KnownRobots:
         return robot in self._robots
 
     def is_to_meet_again(self, robot: str) -> bool:
-        """Return True if this robot signed a state of another run. Its reply shows whether it was restarted."""
+        """Return True if a state of another run came. The robot's reply shows whether it restarted."""
         known = self._robots.get(robot)
         return known is not None and known.is_other_run_seen
 
@@ -163,9 +162,9 @@ class KnownRobots:
         return received.key.startswith(f"{self._root}/{robot}/") and fits(known.key, proof.signature, text)
 
     def believes(self, robot: str, received: Received) -> bool:
-        """Return True if a sample of this robot may be believed.
+        """Return True if a sample of this robot can be trusted.
 
-        What people decide by has to be signed, of the robot's present run, and newer than the one before.
+        Safety state and robot state must be signed, of the robot's current run, and newer than the last one.
         """
         subject = received.key.removeprefix(f"{self._root}/{robot}/")
         if subject not in SIGNED:
@@ -178,7 +177,7 @@ class KnownRobots:
         if proof is None or known is None or sequence is None:
             return False
         is_of_run = proof.boot == known.boot
-        # The cheap questions first: a flood of what was kept costs no signatures.
+        # The cheap checks first: a flood of replayed samples costs no signature checks.
         if is_of_run and not _is_newer(sequence, known.newest.get(subject)):
             return False
         if not is_of_run and known.is_other_run_seen:
@@ -245,23 +244,23 @@ class OperatorProof(KnownRobots):
 
 
 class ViewerProof(KnownRobots):
-    """Verifies what robots sign, for somebody who has no grant and commands nothing but a stop.
+    """Verifies what robots sign, for a client without a grant, which may only stop robots.
 
     Attributes:
-        name: empty: no grant gives one. Robots say who they are to an empty statement too.
+        name: empty, for lack of a grant. Robots prove their identity in reply to an empty statement too.
     """
 
     name = ""
 
     def meet(self, robot: str, received: Received, question: bytes) -> Objection | None:
-        """A robot's reply to the empty statement. Returns why it is no robot of this fleet."""
+        """Check a robot's reply to the empty statement. Returns why it is not of this fleet."""
         refusal = super().meet(robot, received, question)
         return None if self.has_met(robot) else refusal
 
     def request(self, robot: str, verb: str, _payload: bytes, _challenge: bytes) -> bytes:
         if verb != STOP_VERB:
             raise CommandError(
-                f"{verb} of {robot} needs an operator's key and grant, and here is none: see docs/authority.md",
+                f"{verb} of {robot} needs an operator's key and grant; there is none here: see docs/authority.md",
                 ExitCode.USAGE,
             )
         return new_question()
@@ -274,18 +273,18 @@ class ViewerProof(KnownRobots):
 
 
 def new_lease_key() -> tuple[X25519PrivateKey, bytes]:
-    """A key for one lease: the private half, and the public one for the request."""
+    """Draw a key for one lease. Returns the private half, and the public one for the request."""
     private = X25519PrivateKey.generate()
     return private, public_bytes(private)
 
 
 def new_question() -> bytes:
-    """The attachment of one question who a robot is: random."""
+    """The attachment of a query of a robot's identity: random bytes."""
     return secrets.token_bytes(QUESTION_BYTES)
 
 
 class _Numbered(msgspec.Struct, frozen=True):
-    """Of a sample its number alone."""
+    """The sequence number of any sample."""
 
     sequence: Sequence
 
@@ -301,7 +300,7 @@ def _sequence_of(received: Received) -> int | None:
 
 
 def _is_newer(sequence: int, newest: int | None) -> bool:
-    """Return True if it is ahead of the newest by less than half of all numbers, modulo their span (RFC 1982)."""
+    """Return True if it is ahead of the newest by less than half of the number space (RFC 1982)."""
     return newest is None or 0 < (sequence - newest) & SEQUENCE_MAX <= SEQUENCE_MAX // 2
 
 

@@ -1,14 +1,14 @@
 """The authority over this robot: statements, the floor of time, the proof of the robot's name. Pure.
 
-Statements come from anyone, by the query ``@auth``: what counts are their signatures. Grants are kept in memory;
-revocations, rotations and the floor of time outlive a restart.
+Statements come from any client, by the query ``@auth``: only their signatures count. Grants are held in memory;
+revocations, rotations and the floor of time survive a restart.
 
-The floor is the newest time that the authority named in a statement that was verified; from there the time since
-start-up is counted. A wall clock that is set back revives nothing; one that is set forward only ends things
-sooner. The floor falls only where a new authority takes the place of the former.
+The floor is the newest time in a verified statement, plus the time that has passed since. Setting the wall clock
+back revives no expired grant; setting it forward only ends grants sooner. Only a rotation to a new authority
+lowers it.
 
-Anybody's gateway could answer on ``gateway/info`` under any name, since certificates of robots say only that they
-are robots. So the answer is signed over bytes drawn for the query, and has the chain of the robot's grant.
+A robot's certificate says only that it is a robot, so any gateway could answer on ``gateway/info`` under any name.
+The answer is therefore signed over random bytes of the query, and contains the robot's grant.
 """
 
 from __future__ import annotations
@@ -50,26 +50,22 @@ class TimeFloor:
     """A lower bound of the time."""
 
     def __init__(self, floor_s: int, boot_ns: int) -> None:
-        """The floor as it was kept.
-
-        Args:
-            boot_ns: time since the machine's start, sleep included (CLOCK_BOOTTIME).
-        """
+        """Begin with a stored floor; ``boot_ns`` is the time since the machine's start (CLOCK_BOOTTIME)."""
         self.restart(floor_s, boot_ns)
 
     def least_s(self, boot_ns: int) -> int:
         return self._floor_s + max(0, boot_ns - self._since_ns) // _S
 
     def now_s(self, boot_ns: int, wall_s: int) -> int:
-        """The time by which grants are judged: the later of the floor and the wall clock."""
+        """The time by which grants are judged: the later one of floor and wall clock."""
         return max(self.least_s(boot_ns), wall_s)
 
     def restart(self, at_s: int, boot_ns: int) -> None:
-        """A new authority says what time it is: a thief of the former one's key may have said anything."""
+        """Take the time from a new authority: a thief of the former one's key may have signed any time."""
         self._floor_s, self._since_ns = at_s, boot_ns
 
     def lift(self, at_s: int, boot_ns: int) -> None:
-        """A statement that was verified says that it is so late at least: seconds since 1970."""
+        """Raise the floor to the time in a verified statement, seconds since 1970."""
         if at_s > self.least_s(boot_ns):
             self.restart(at_s, boot_ns)
 
@@ -78,7 +74,7 @@ _INFO: Final = BY_NAME["gateway/info"]
 
 
 class NameProof:
-    """Answers for the robot's name, and judges who else does."""
+    """Proves the robot's name, and checks other gateways' claims to it."""
 
     def __init__(
         self,
@@ -94,11 +90,11 @@ class NameProof:
         self._own = own
 
     def attachment(self, payload: bytes, question: bytes) -> bytes:
-        """The attachment of an answer: the robot's proof, and behind it the chain of its grant, as text."""
+        """The attachment of an answer: the robot's proof, then its grant as text."""
         return self._signer.reply(self._key, _INFO.encoding, payload, question) + chain_text(self._own()).encode()
 
     def is_namesake(self, payload: bytes, attachment: bytes, question: bytes, now_s: int) -> bool:
-        """Return True if an answer is of a gateway with this robot's key, or with a grant for its name."""
+        """Return True if an answer comes from a gateway with this robot's key, or with a grant for its name."""
         proof = RobotProof.read(attachment[:ROBOT_PROOF_BYTES])
         if proof is None or len(attachment) > ROBOT_PROOF_BYTES + TEXT_MAX_BYTES:
             return False
@@ -108,7 +104,7 @@ class NameProof:
         chain = read_chain(attachment[ROBOT_PROOF_BYTES:])
         if isinstance(chain, StatementFault):
             return False
-        # At its beginning, if this computer's clock is behind.
+        # Judged at the grant's beginning if this computer's clock is behind.
         starts = [one.statement.not_before for one in chain if isinstance(one.statement, Grant)]
         held = self._admission.trust.judge(chain, max([now_s, *starts]))
         return (
@@ -118,23 +114,21 @@ class NameProof:
         )
 
 
-REPEAT_NS: Final = 60_000_000_000
-"""Period at which the grants in use are published again, so that every log holds them."""
-
-BARS_NS: Final = 1_000_000_000  # period at which it is judged again whether somebody may engage
-SAVE_NS: Final = 60_000_000_000  # period at which the floor of time is saved
+REPEAT_NS: Final = 60_000_000_000  # period of publishing the grants in use, for logs that begin later
+BARS_NS: Final = 1_000_000_000  # period of judging whether the robot may be engaged
+SAVE_NS: Final = 60_000_000_000  # period of saving the floor of time
 
 
 class Kept(msgspec.Struct, frozen=True):
-    """The state of the authority that is kept across a restart.
+    """The state of the authority that survives a restart.
 
     Attributes:
-        own: the chain of the robot's own grant, if it was renewed since it was provisioned.
-        revocations: the newest list, signed; empty if there was none under the authority that is active now.
-        rotations: all that were taken over, signed, in their order.
-        epoch: no grant of a lower one counts, whatever the newest list says.
+        own: the robot's own grant, if it was renewed since it was provisioned.
+        revocations: the newest list, signed; empty if the active authority has sent none.
+        rotations: all that were accepted, signed, in their order.
+        epoch: grants of a lower one are not valid.
         floor_s: the floor of time, seconds since 1970.
-        since: the authority that was provisioned when the first of it was learnt.
+        since: the authority that was provisioned when the first statement was accepted.
     """
 
     own: str = ""
@@ -146,13 +140,13 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
-    """The trust at a start, and what was kept, as far as it is of this authority.
+    """The trust at a start, and the stored state as far as it belongs to the installed authority.
 
-    A robot that took over a rotation is given the keys of the new authority by the next bundle: what it learnt
-    still holds. Keys of another authority, which somebody installed on the robot itself, begin anew.
+    After a rotation the next bundle installs the new authority's keys: the stored state remains valid. Keys of an
+    unrelated authority discard it.
 
     Args:
-        provisioned: the trust that begins with the keys that are installed now.
+        provisioned: the trust in the installed keys.
     """
     since = provisioned if kept.since is None else kept.since.trust
     trust = trust_of(since, kept)
@@ -166,14 +160,14 @@ def resume(provisioned: Trust, kept: Kept) -> tuple[Trust, Kept] | Objection:
 
 
 def _led_to(rotations: list[str]) -> set[tuple[bytes, bytes]]:
-    """The keys of each authority that rotations led to; they were verified."""
+    """The keys of each authority that these verified rotations led to."""
     chains = (read_chain(text.encode()) for text in rotations)
     found = (chain[0].statement for chain in chains if not isinstance(chain, StatementFault))
     return {(bytes.fromhex(one.active), bytes.fromhex(one.standby)) for one in found if isinstance(one, Rotation)}
 
 
 def trust_of(trust: Trust, kept: Kept) -> Trust | Objection:
-    """The trust that a robot was provisioned with, after all that it has taken over since."""
+    """The trust after all rotations and revocations that were accepted since provisioning."""
     for text in filter(None, (*kept.rotations, kept.revocations)):
         chain = read_chain(text.encode())
         if isinstance(chain, StatementFault):
@@ -198,8 +192,8 @@ class RobotAuthority:
     """The authority, as a robot knows it.
 
     Attributes:
-        self_test: the flaw of the gateway's own files or endpoints; empty if there is none.
-        unsaved: why what was taken over could not be saved; empty if it was.
+        self_test: the fault of the gateway's own files or endpoints; empty if there is none.
+        unsaved: why the state could not be saved; empty if it was.
     """
 
     def __init__(
@@ -227,7 +221,7 @@ class RobotAuthority:
         self._bars_due_ns = self._repeat_due_ns = self._save_due_ns = 0
 
     def receive(self, raw: RawRequest, boot_ns: int) -> PendingReply:
-        """Somebody shows a statement. Returns the reply, which says why it is not taken over, or that it is."""
+        """Handle a client's statement. Returns the reply: accepted, or why not."""
         refusal = self._take_over(raw.payload, boot_ns)
         ruling = Ruling() if refusal is None else Ruling(refusal.reason, refusal.detail)
         accepted, cure = ruling.reason is Reason.NONE, TEXTS[ruling.reason].cure
@@ -257,13 +251,13 @@ class RobotAuthority:
         self.admission.now_s = self._floor.now_s(boot_ns, wall_ns // 1_000_000_000)
 
     def tick(self, now_ns: int, boot_ns: int, wall_ns: int) -> AuthorityEffects:
-        """Every 10 ms: what follows from the authority now."""
+        """Compute the effects of the authority, every 10 ms."""
         admission = self.admission
         self.know_time(boot_ns, wall_ns)
         admission.begin_tick(now_ns)
         effects = AuthorityEffects(self._statements(now_ns, wall_ns), ended=admission.objection_to_holder())
         if now_ns >= self._bars_due_ns or self._faults() != self._bars.get(Reason.SELF_TEST, ""):
-            # Once a second is soon enough: what ends in mid-drive ends by ``ended``.
+            # Once a second is enough: ``ended`` ends a drive at once.
             self._bars_due_ns = now_ns + BARS_NS
             effects.bars = self._bars_changed(boot_ns)
         if self._is_changed or now_ns >= self._save_due_ns:
@@ -291,7 +285,7 @@ class RobotAuthority:
         return None
 
     def _own_grant(self) -> HeldGrant | Objection:
-        """The robot's own grant, if it holds now. Its signatures are verified until they fit once."""
+        """The robot's own grant, or why it is not valid. Its signature is verified until it fits once."""
         trust, now_s = self.admission.trust, self.admission.now_s
         if self._own_held is None:
             judged = trust.judge(self._own, now_s)
@@ -304,14 +298,14 @@ class RobotAuthority:
         trust = self.admission.trust
         is_rotation, text = isinstance(statement, Rotation), signed.text()
         if text in self._kept.rotations:
-            return Objection(Reason.REPLAYED, f"rotation {statement.serial} was taken over before")
+            return Objection(Reason.REPLAYED, f"rotation {statement.serial} was accepted before")
         newer = trust.rotate(signed) if is_rotation else trust.revoke(signed)
         if isinstance(newer, Objection):
             return newer
         self.admission.trust = newer
         if is_rotation:
             self._floor.restart(statement.at, boot_ns)
-            # What the former authority revoked ended with it: after the next rotation its key may be active again.
+            # The former authority's list ends with it: after another rotation its key may be active again.
             rotations = [*self._kept.rotations, text]
             self._kept = msgspec.structs.replace(
                 self._kept, epoch=newer.epoch, rotations=rotations, revocations=""
@@ -331,22 +325,22 @@ class RobotAuthority:
         return bars
 
     def _faults(self) -> str:
-        """Why the gateway itself is not fit for signed mode; empty if it is."""
-        forgets = f"{self.unsaved}: a restart would forget what was revoked" if self.unsaved else ""
+        """Return the faults of the gateway's own files and endpoints, and of saving; empty if there are none."""
+        forgets = f"{self.unsaved}: a restart would lose revocations" if self.unsaved else ""
         return "; ".join(filter(None, (self.self_test, forgets)))
 
     def _bars_now(self, boot_ns: int) -> dict[Reason, str]:
         bars = {Reason.SELF_TEST: faults} if (faults := self._faults()) else {}
         own = self._own_grant()
         if isinstance(own, Objection):
-            # Without what time it is now: a text that changes each minute would be an event each minute.
+            # Without the current time: a text that changes each minute would be an event each minute.
             bars[own.reason] = f"the robot's own grant: {own.text.partition(', and here')[0]}"
         else:
             self._floor.lift(own.grant.not_before, boot_ns)
         return bars
 
     def _statements(self, now_ns: int, wall_ns: int) -> list[Sample]:
-        """The statements that are new; once a minute also those in use, for logs that begin now."""
+        """The new statements; once a minute also those in use, for logs that began later."""
         texts, self._new = self._new, []
         if now_ns >= self._repeat_due_ns:
             self._repeat_due_ns = now_ns + REPEAT_NS

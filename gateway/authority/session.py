@@ -1,8 +1,8 @@
-"""Between robot and operator: the key of a lease, signatures by it, and reasons why a proof is unmet. Pure.
+"""Shared by robot and operator: the key of a lease, tags and signatures, and why a robot is not trusted. Pure.
 
-The key of a lease is known only to its holder and the robot: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869). The
-request for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this one
-lease, so a key that is learnt later opens nothing of before.
+Only the holder and the robot know the key of a lease: X25519 (RFC 7748) and HKDF-SHA256 (RFC 5869). The request
+for the lease carries the holder's public key, the signed reply the robot's. Both are drawn for this lease, so a
+key that leaks later reveals nothing earlier.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def public_bytes(private: X25519PrivateKey) -> bytes:
 
 
 def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, expression: str) -> bytes | None:
-    """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is none."""
+    """The key of a lease, 32 bytes, the same on both sides; None if the other side's public key is invalid."""
     try:
         shared = private.exchange(X25519PublicKey.from_public_bytes(other))
     except ValueError:  # of the wrong length, or of small order
@@ -42,10 +42,10 @@ def lease_key(private: X25519PrivateKey, other: bytes, boot: bytes, lease: int, 
 
 
 class DriveTags:
-    """Makes and checks the tags of one lease: of its drive commands, and of its holder's verbs."""
+    """Makes and checks the tags of one lease, for drive commands and for its holder's verbs."""
 
     def __init__(self, key: bytes, lease: int, expression: str, encoding: str) -> None:
-        # All before the payload is the same in each command, so the state of the hash after it is kept.
+        # Everything before the payload is the same in each command, so its hash state is computed once.
         before = DriveProof(lease).signed(expression, encoding, b"")[:-_LENGTH_BYTES]
         self.lease = lease
         self._state = hmac.new(key, before, "sha256")
@@ -57,13 +57,13 @@ class DriveTags:
         return state.digest()[:TAG_BYTES]
 
     def verb_tag(self, text: bytes) -> bytes:
-        """The tag of a verb, 16 bytes, over the text that its holder signs."""
+        """The tag of a verb, 16 bytes, over the text that the holder signs."""
         state = self._empty.copy()
         state.update(text)
         return state.digest()[:TAG_BYTES]
 
     def fits_verb(self, tag: bytes, text: bytes) -> bool:
-        """Return True if the tag was made for a verb with this signed text, under this lease's key."""
+        """Return True if the tag was made over this text with this lease's key."""
         return hmac.compare_digest(tag, self.verb_tag(text))
 
     def attachment(self, payload: bytes) -> bytes:
@@ -77,7 +77,7 @@ class DriveTags:
 
 
 class RobotSigner:
-    """Signs in the robot's name."""
+    """Signs replies and publications with the robot's key."""
 
     def __init__(self, private: Ed25519PrivateKey, boot: bytes) -> None:
         self.boot = boot
@@ -95,14 +95,14 @@ class RobotSigner:
         return msgspec.structs.replace(self._unsigned, signature=self._private.sign(text)).attachment()
 
 
-SOMEBODY_ELSE: Final = "look at the robot: somebody may answer in its place"
+SOMEBODY_ELSE: Final = "check the robot: another machine may be answering in its place"
 
 
 class Unmet(msgspec.Struct, frozen=True):
-    """The reason why a robot is not met.
+    """The reason why a robot's identity is not verified.
 
     Attributes:
-        is_refusal: the robot is believed, and refuses the grant that it was shown.
+        is_refusal: the identity is verified, but the robot refuses the grant that it was shown.
     """
 
     reason: Reason
@@ -113,30 +113,29 @@ class Unmet(msgspec.Struct, frozen=True):
 
 SILENT: Final = Unmet(
     Reason.PROOF_MISSING,
-    "it does not say who it is: its own keys may be missing or damaged, or it is not in signed mode",
-    "'cruiser why ROBOT' shows what it says of itself, not verified",
+    "it does not prove its identity: its keys may be missing or damaged, or it is not in signed mode",
+    "'cruiser why ROBOT' shows what it reports, unverified",
 )
-"""A robot that answers nothing on ``@auth``."""
+"""For a robot that does not reply on ``@auth``."""
 
 UNSIGNED: Final = Unmet(
     Reason.PROOF_WRONG,
-    "its answer is not signed by the robot that was met",
-    "it may have been started again: try again; 'cruiser why ROBOT' shows what it says of itself",
+    "its reply is not signed with the key that it proved",
+    "it may have restarted: try again; 'cruiser why ROBOT' shows what it reports",
 )
-"""A robot that was met, and whose answer does not fit its key."""
-
+"""For a robot whose identity was verified, and whose reply does not fit its key."""
 
 NEW_GRANT: Final = "'cruiser provision renew operator', 'sign' at the authority, 'install --replace'"
 
 _CURES: Final = {
-    Reason.GRANT_EXPIRED: f"set the clock that is wrong, if one is; if not, get a new grant: {NEW_GRANT}",
-    Reason.GRANT_UNKNOWN: f"get a grant of the authority that this robot has: {NEW_GRANT}, with --fingerprint F",
+    Reason.GRANT_EXPIRED: f"set the clock that is wrong; if none is, get a new grant: {NEW_GRANT}",
+    Reason.GRANT_UNKNOWN: f"get a grant from this robot's authority: {NEW_GRANT}, with --fingerprint F",
 }
-"""Cures of a grant that a robot refuses, where they say more than the robot's own."""
+"""Cures for a refused grant that are more specific than the robot's own."""
 
 
 def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust) -> Unmet:
-    """Return why the robot whose reply has this chain is not believed; the chain is empty if it cannot be read."""
+    """Return why a robot's reply with this chain is not trusted; the chain is empty if it cannot be read."""
     if objection.reason is Reason.GRANT_EXPIRED:
         return Unmet(
             objection.reason,
@@ -149,8 +148,8 @@ def not_believed(objection: Objection, chain: Sequence[Signed], trust: Trust) ->
             objection.reason,
             f"the robot's own grant is signed by the authority's key {fingerprint(chain[-1].signer)}, and "
             f"authority.json here names the key {fingerprint(trust.active)}",
-            "if it is a robot of yours, one of the two has the files of a former authority: 'cruiser provision "
-            "renew' there, 'sign' at the authority of today, 'install --replace --fingerprint F'",
+            "if it is a robot of yours, one of the two has files of a former authority: 'cruiser provision renew' "
+            "there, 'sign' at the current authority, 'install --replace --fingerprint F'",
         )
     return Unmet(objection.reason, objection.detail or objection.text, SOMEBODY_ELSE)
 

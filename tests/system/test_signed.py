@@ -390,11 +390,11 @@ def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name:
     configuration = str(Path(site.settings.authority.directory) / "cruiser.toml")
     with standing(site):
         word = doubt_of_a_stop(site, "")
-        assert word.text.startswith("it does not say who it is: its own keys may be missing or damaged")
+        assert word.text.startswith("it does not prove its identity: its keys may be missing or damaged")
         done = run(["why", ROBOT, "--connect", site.endpoint, "--config", configuration, "--timeout", "3"])
         assert done.returncode == ExitCode.FAILURE, done.stderr
         first, *lines = done.stdout.splitlines()
-        assert first.startswith(f"{ROBOT}: UNVERIFIED, all of this: it does not say who it is")
+        assert first.startswith(f"{ROBOT}: UNVERIFIED, all of this: it does not prove its identity")
         assert any(f"{name} is not there; 'cruiser provision " in line for line in lines), done.stdout
         assert any(line.startswith("  remote_stop: ") for line in lines), done.stdout
         listed = run(["list", "--connect", site.endpoint, "--config", configuration])

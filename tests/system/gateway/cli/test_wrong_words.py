@@ -130,7 +130,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
         for one in ("tcp/127.0.0.1:7447", "router.example:7447", "tls/router.example", "")
     ],
     ("provision rotate no.json", USAGE, "no.json is not there"),
-    ("provision show {here}/none.pem --all", USAGE, "none.pem: it holds no statement"),
+    ("provision show {here}/none.pem --all", USAGE, "none.pem: it contains no statement"),
     ("provision revoke", USAGE, "what is to be revoked?"),
     ("provision revoke ann", USAGE, "no authority's key is in"),
     *[

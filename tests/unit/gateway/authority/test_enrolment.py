@@ -100,7 +100,7 @@ def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
     request = asked(role, ["one-1"], private)
     assert read_request(msgspec.json.format(msgspec.json.encode(request))) == request
     assert request_fingerprint(request) == request_fingerprint(read_request(msgspec.json.encode(request)))
-    with pytest.raises(EnrolmentError, match="and has a key" if private is None else "has no key"):
+    with pytest.raises(EnrolmentError, match="the request has a key" if private is None else "has no key"):
         asked(role, ["one-1"], Ed25519PrivateKey.generate() if private is None else None)
 
 
@@ -218,10 +218,10 @@ def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
     assert read_bundle(made, NOW_S) == bundle
     for other in set(GRANTED) - {role}:
         text = bundle_text(msgspec.structs.replace(bundle, role=other), fleet.authority.private)
-        assert "its grant is of one-1" in refusal(text)
+        assert "its grant is for one-1" in refusal(text)
     renamed = bundle_text(msgspec.structs.replace(bundle, name="two-2"), fleet.authority.private)
-    assert "its grant is of one-1" in refusal(renamed)
-    assert "its grant does not hold" in refusal(made, NOW_S + 10 * 86_400)
+    assert "its grant is for one-1" in refusal(renamed)
+    assert "its grant is not valid" in refusal(made, NOW_S + 10 * 86_400)
 
 
 def test_a_bundle_that_was_changed_holds_no_more() -> None:

@@ -159,7 +159,7 @@ IMPOSTORS: dict[str, tuple[str, dict[str, Any], Objection | None]] = {
     "it is another robot": (
         "cruiser-2",
         {},
-        Objection(Reason.NOT_GRANTED, "the reply is of cruiser-1, not of cruiser-2"),
+        Objection(Reason.NOT_GRANTED, "the reply is from cruiser-1, not from cruiser-2"),
     ),
 }
 
@@ -348,9 +348,9 @@ def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
         (
             Objection(Reason.GRANT_UNKNOWN, "x"),
             "the robot's own grant is signed by the authority's key {theirs}, and authority.json here names",
-            "if it is a robot of yours, one of the two has the files of a former authority: 'cruiser provision",
+            "if it is a robot of yours, one of the two has files of a former authority: 'cruiser provision",
         ),
-        (Objection(Reason.PROOF_WRONG, "the reply is not the robot's"), "the reply is not the robot's", "look at"),
+        (Objection(Reason.PROOF_WRONG, "the reply is not the robot's"), "the reply is not the robot's", "check the"),
     ],
     ids=lambda one: one.reason.value if isinstance(one, Objection) else "",
 )

@@ -44,7 +44,7 @@ def test_a_statement_is_answered_with_the_robots_own_grant() -> None:
     for text, reason, detail in (
         ("", Reason.MALFORMED, ""),
         ("x", Reason.MALFORMED, "it is not pairs of lines"),
-        (bench.chain_of("ann", robots=["a"]), Reason.NOT_GRANTED, "it is not for cruiser-1"),
+        (bench.chain_of("ann", robots=["a"]), Reason.NOT_GRANTED, "it does not cover cruiser-1"),
     ):
         refused = bench.show(text)
         assert (refused.ok, refused.reason, refused.own) == (False, reason, bench.own)
@@ -152,7 +152,7 @@ def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
         assert bench.show(text).ok
         said = bench.show(text)
         assert (said.ok, said.reason) == (False, Reason.REPLAYED)
-        assert "was taken over before" in said.detail
+        assert "was accepted before" in said.detail
     assert bench.show(first).reason is Reason.REPLAYED
     third = bench.fleet.standby.rotate(3, new.authority, new.standby).text()
     assert bench.show(third).reason is Reason.PROOF_WRONG
@@ -211,7 +211,7 @@ def test_nobody_engages_before_the_self_test_has_passed_nor_while_nothing_can_be
     assert bench.bars() == {}
     bench.authority.unsaved = "the disk is full"
     effects = bench.tick(10_000_000)
-    assert effects.bars == {Reason.SELF_TEST: "the disk is full: a restart would forget what was revoked"}
+    assert effects.bars == {Reason.SELF_TEST: "the disk is full: a restart would lose revocations"}
     assert bench.tick(10_000_000).bars is None
     bench.authority.unsaved = ""
     assert bench.tick(10_000_000).bars == {}

@@ -450,7 +450,7 @@ def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
         assert refused("sign", changed, *sign).startswith(str(changed))
     for text in ("", "no", "[]", "\0", "{}", "x" * 100_000):
         changed.write_text(text)
-        assert "it is no request" in refused("sign", changed, *sign)
+        assert "not a request" in refused("sign", changed, *sign)
     assert "another request" in refused("sign", file, *sign, "--fingerprint", "0000")
     assert not (fleet.authority / "issued.jsonl").exists()
 
