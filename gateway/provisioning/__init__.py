@@ -1,4 +1,4 @@
-"""Keys, certificates and grants as files: made where they stay, signed where the authority is, read at a start.
+"""Keys, certificates and grants as files: created, signed by the authority, installed and checked.
 
-What is missing, wrong or over is a ``CommandError``: one line that names the file and the cure.
+A missing, wrong or expired file is a ``CommandError``: one line that names the file and the cure.
 """

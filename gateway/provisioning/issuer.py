@@ -1,4 +1,4 @@
-"""Issue keys, certificates and grants: by the authority, and on each machine."""
+"""Create keys and requests on each machine, sign them at the authority, and install the answers."""
 
 from __future__ import annotations
 
@@ -63,15 +63,14 @@ from schemas.subjects import TEXT_MAX_BYTES
 FLEET_FILE: Final = "fleet.json"
 ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"
 
-SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)
-"""Files that are the same for all of a fleet. One machine may be several: a desk, and a recorder."""
+SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)  # the same files on every machine of a fleet
 
 
 def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
-    """Make the keys of a machine or a person. Returns the request to be let in."""
+    """Make the keys of a machine or a person. Returns the request for enrolment."""
     wrong = next((name for name in names if re.fullmatch(NAME_PATTERN, name) is None), None)
     if wrong is not None:
-        raise CommandError(f"{wrong!a} cannot be a name: it is not of the form {NAME_PATTERN}", ExitCode.USAGE)
+        raise CommandError(f"{wrong!a} cannot be a name: names match {NAME_PATTERN}", ExitCode.USAGE)
     tls, tls_name = new_key(), tls_key_name(role)
     keys = {tls_name: store.pem(tls, is_protected=False)}
     private = None
@@ -82,13 +81,13 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
         request = new_request(role, names, certificate_request(tls, role.value, names), private, tls)
     except (EnrolmentError, ValueError) as error:
         raise CommandError(f"{', '.join(names)!a}: {error}", ExitCode.USAGE) from error
-    cure = f"'cruiser provision renew {role.value}' asks anew with these keys, --replace makes new ones"
+    cure = f"'cruiser provision renew {role.value}' requests again with these keys, --replace makes new ones"
     store.write(keys, replace=replace, cure=cure)
     return request
 
 
 def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
-    """The names under which somebody was let in here, by the certificate."""
+    """The names in the certificate that is installed here."""
     name = CERTIFICATE_FILE.format(who=role.value)
     text = store.read(name, INSTALLED).decode(errors="replace")
     with naming(plain(str(store.path(name))), remade(role.value)):
@@ -114,11 +113,10 @@ class Installed(msgspec.Struct, frozen=True):
 
 
 def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool) -> Installed:
-    """Write what a bundle holds, if it is for the keys that are here.
+    """Write the files of a bundle, if it is for the keys that are here.
 
     Args:
-        is_compared: somebody compared the authority's fingerprint. Without that no other authority takes the
-            place of the one that is here, whoever carried the bundle.
+        is_compared: the authority's fingerprint was compared. Otherwise an installed authority is not replaced.
     """
     role, who = bundle.role, bundle.role.value
     until_s = _check_certificate(store, bundle)
@@ -126,19 +124,19 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
         _check_grant(store, bundle)
     unknown = unknown_of(store, bundle)
     changed = [name for name in unknown if store.has(name)]
-    cure = f"--fingerprint takes it over, if 'provision authority' or 'sign' showed {bundle.fingerprint} there"
+    cure = f"--fingerprint installs it, if 'provision authority' or 'sign' printed {bundle.fingerprint} there"
     if AUTHORITY_FILE in changed and not (replace and is_compared):
         shown = plain(str(store.path(AUTHORITY_FILE)))
-        raise CommandError(f"{shown} is another authority's; --replace with {cure}", ExitCode.USAGE)
+        raise CommandError(f"{shown} belongs to another authority; --replace with {cure}", ExitCode.USAGE)
     if changed and not replace:
         raise CommandError(
-            f"{plain(str(store.path(changed[0])))} is different; --replace changes over to that of the bundle",
+            f"{plain(str(store.path(changed[0])))} differs from the bundle's; --replace overwrites it",
             ExitCode.USAGE,
         )
     own = dict(_own_files(store, bundle))
     settings = SETTINGS_FILE.format(who=who)
     if store.has(settings):
-        # Whoever has it may have added to it.
+        # The user may have edited it.
         own.pop(settings, None)
     store.write(own, replace=replace)
     store.write(_shared(bundle), replace=True)
@@ -146,7 +144,7 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
 
 
 def unknown_of(store: KeyStore, bundle: Bundle) -> list[str]:
-    """Return what a bundle brings of its authority that is not so here: names of files."""
+    """Return the names of the bundle's shared files that are missing or different here."""
     shared = _shared(bundle)
     return [name for name in SHARED if not store.has(name) or store.read(name, "") != shared[name].encode()]
 
@@ -186,7 +184,7 @@ def _check_grant(store: KeyStore, bundle: Bundle) -> None:
 def _other_request(store: KeyStore, name: str, bundle: Bundle) -> CommandError:
     return CommandError(
         f"the bundle is for {_bundle_holder(bundle)}, and answers another request than that of "
-        f"{plain(str(store.path(name)))}: install it where that one was made, or ask with these keys "
+        f"{plain(str(store.path(name)))}: install it where its request was made, or request one with these keys "
         f"('cruiser provision renew {bundle.role.value}')",
         ExitCode.USAGE,
     )
@@ -215,9 +213,9 @@ def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
 
 
 def _listening(routers: list[str], names: list[str]) -> list[str]:
-    """Return a router's endpoints to listen on: its machine's addresses, with the ports of the fleet's endpoints.
+    """Return the endpoints that a router listens on: any address, with the ports of the fleet's endpoints for it.
 
-    If the fleet reaches it by a loopback address, it listens on that address only.
+    For a loopback endpoint it listens on that address only.
     """
     found: list[str] = []
     for endpoint in routers:
@@ -239,13 +237,13 @@ _LOOPBACK: Final = ("127.0.0.1", "[::1]", "localhost")
 
 
 def _settings(store: KeyStore, bundle: Bundle) -> str:
-    """Settings by which every command is this machine's or this person's: ``--config``, or CRUISER_CONFIG."""
+    """The settings file of a role, for ``--config`` or CRUISER_CONFIG."""
     role, who = bundle.role, bundle.role.value
     robot = f"name = {write_string(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
-    # Who has no key signs nothing, and believes what robots sign all the same.
+    # Roles without a key sign nothing, but verify what robots sign.
     mode = "" if role is EnrolmentRole.ROUTER else 'mode = "signed"\n'
     return (
-        "# Written by 'cruiser provision install', which leaves it alone once it is there: add what you like.\n"
+        "# Written by 'cruiser provision install', which does not overwrite it: you may edit it.\n"
         f"[robot]\nroot = {write_string(bundle.fleet.root)}\n{robot}\n"
         f"[authority]\n{mode}directory = {write_string(str(store.directory))}\n\n"
         f"[zenoh]\nconfig = {write_string(str(store.path(ZENOH_FILE.format(who=who))))}\n"
@@ -260,7 +258,7 @@ AUTHORITY_KEY, CA_KEY = "authority.key", "ca.key"
 STANDBY_KEY: Final = "standby.key"
 SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "revocations.statement"
 
-BACKDATED_S: Final = 300  # a grant is valid from a little earlier: no two clocks agree
+BACKDATED_S: Final = 300  # a grant begins so much earlier, since clocks differ
 
 _ROLES: Final = {
     EnrolmentRole.ROBOT: GrantRole.ROBOT,
@@ -270,7 +268,7 @@ _AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
 
 
 class Serials(msgspec.Struct, frozen=True):
-    """The last numbers that were given. They never go back."""
+    """The last numbers that were used. They never decrease."""
 
     grant: int = 0
     revocations: int = 0
@@ -279,7 +277,7 @@ class Serials(msgspec.Struct, frozen=True):
 
 
 class Issued(msgspec.Struct, frozen=True):
-    """A line of ``issued.jsonl``: who was let in."""
+    """A line of ``issued.jsonl``: one enrolment."""
 
     at: int
     role: str
@@ -295,7 +293,7 @@ class Issued(msgspec.Struct, frozen=True):
 
     @property
     def holder(self) -> bytes:
-        """The key that stands for this party: the grant's, or else the fingerprint of the certificate's."""
+        """The identity of the party: the grant's key, or else the fingerprint of the certificate's key."""
         return bytes.fromhex(self.key) or self.tls.encode()
 
 
@@ -325,7 +323,7 @@ class Issuer:
     def open(cls, store: KeyStore) -> Self:
         if not store.has(AUTHORITY_KEY):
             raise CommandError(
-                f"no authority's key is in {store.directory}: --directory says where it is", ExitCode.USAGE
+                f"no authority's key is in {store.directory}: give its directory with --directory", ExitCode.USAGE
             )
         return cls(store, store.ed25519(AUTHORITY_KEY, _AUTHORITY_CURE))
 
@@ -346,7 +344,7 @@ class Issuer:
         return authority_fingerprint(self.authority, self.fleet, self.ca)
 
     def sign(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> tuple[bytes, Grant | None]:
-        """Let somebody in. Returns the bundle and the grant that is in it."""
+        """Answer a request. Returns the bundle and the grant in it."""
         name, role = request.names[0], request.role
         applicant = read_request(request.csr) if request.csr else None
         if applicant and (applicant.role != role.value or sorted(applicant.names) != sorted(request.names)):
@@ -378,7 +376,7 @@ class Issuer:
         return bundle_text(bundle, self._private), grant if isinstance(grant, Grant) else None
 
     def _refuse_revoked(self, request: EnrolmentRequest) -> None:
-        """No robot takes a new grant of a key that was revoked either."""
+        """Refuse a request with a revoked key: robots would refuse its grant too."""
         revoked = self._revoked()
         if request.key and bytes.fromhex(request.key) in map(bytes.fromhex, revoked.keys):
             who = request.role.value
@@ -389,7 +387,7 @@ class Issuer:
             )
 
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
-        """Return the last grant to the same key in the same role and name; None if there is none."""
+        """Return the last grant for the same key, role and name; None if there is none."""
         holder = _holder(request)
         found = [
             one for one in self.issued() if one.holder == holder and one.role == request.role.value and one.body
@@ -399,9 +397,9 @@ class Issuer:
         return msgspec.json.decode(found[-1].body, type=Grant)
 
     def others(self, request: EnrolmentRequest) -> str:
-        """Return who else was let in under the name of a request, or by its key; empty if nobody was.
+        """Return the earlier enrolment of this name or key under another key or name; else empty.
 
-        A key that was revoked is nobody's. A key and a name that were let in together are no others.
+        Revoked keys do not count.
         """
         role, name, holder = request.role.value, request.names[0], _holder(request)
         revoked = set(map(bytes.fromhex, self._revoked().keys))
@@ -410,10 +408,10 @@ class Issuer:
             return ""
         for one in reversed(let_in):
             if one.holder == holder:
-                return f"its key was let in as {role} {plain(one.name)}"
+                return f"its key was enrolled as {role} {plain(one.name)}"
             if one.name == name:
                 ends = f" ('cruiser provision revoke --key {one.holder.hex()}' ends it)" if one.key else ""
-                return f"{role} {name} has another key already, let in {in_utc(one.at)}{ends}"
+                return f"{role} {name} has another key already, enrolled {in_utc(one.at)}{ends}"
         return ""
 
     def issued(self) -> list[Issued]:
@@ -427,13 +425,13 @@ class Issuer:
             raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
 
     def revoke(self, keys: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
-        """A new list of all that is revoked: what was, and this. With a raised epoch the list begins anew."""
+        """Sign a new list of revocations: the last one and these keys. Raising the epoch begins an empty list."""
         before, serials = self._revoked(), serials_of(self.store)
         path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
             raise CommandError(
-                f"{path} is not the newest list: a new one would lift what that revokes. Bring the newest back "
-                "from a copy or from a desk that shows it, or end all grants of before with --epoch",
+                f"{path} is not the newest list: signing one now would cancel revocations. Restore the newest "
+                "from a backup or from a desk that shows it, or end all earlier grants with --epoch",
                 ExitCode.USAGE,
             )
         serial = max(serials.revocations, before.serial, now_s) + 1
@@ -450,7 +448,7 @@ class Issuer:
         )
         if len(signed.text()) > TEXT_MAX_BYTES:
             raise CommandError(
-                "the list is longer than a robot takes. --epoch ends all earlier grants, and begins it anew",
+                "the list is longer than robots accept. --epoch ends all earlier grants, and empties the list",
                 ExitCode.USAGE,
             )
         save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
@@ -476,12 +474,11 @@ class Issuer:
         signed = state(self._private, grant)
         held = self.authority.trust.judge([signed], now_s)
         if isinstance(held, Objection):
-            raise CommandError(f"this cannot be granted here: {held.text}", ExitCode.USAGE)
+            raise CommandError(f"this grant would not be valid: {held.text}", ExitCode.USAGE)
         save_serials(self.store, msgspec.structs.replace(serials, grant=grant.serial))
         return signed
 
     def _certify(self, request: EnrolmentRequest, role: TransportRole, now_s: int) -> str:
-        """A certificate of a role; a robot also gets one without any right, for the same key, to test with."""
         key, ca = self.store.p256(CA_KEY, _AUTHORITY_CURE), self.ca
         try:
             return issue(request.csr, role, ca, key, now_s)
@@ -495,7 +492,9 @@ class Issuer:
         statement = None if isinstance(chain, StatementFault) else chain[0].statement
         if not isinstance(statement, Revocations):
             path = self.store.path(REVOCATIONS_FILE)
-            raise CommandError(f"{path} is damaged: what was revoked must stay so", ExitCode.USAGE)
+            raise CommandError(
+                f"{path} is damaged: restore it from a backup, or revocations would be lost", ExitCode.USAGE
+            )
         return statement
 
 
@@ -522,7 +521,7 @@ def make_authority(
             FLEET_FILE: _json(fleet),
         },
         replace=replace,
-        cure="--replace makes another authority, which no robot of before knows",
+        cure="--replace makes another authority, which existing robots do not trust",
     )
     return authority
 
@@ -549,7 +548,7 @@ def state(private: Ed25519PrivateKey, statement: Statement) -> Signed:
 def serials_of(store: KeyStore) -> Serials:
     if not store.has(SERIALS_FILE):
         return Serials()
-    return store.read_as(SERIALS_FILE, Serials, "numbers must not go back: restore it from a copy")
+    return store.read_as(SERIALS_FILE, Serials, "restore it from a backup: numbers must not decrease")
 
 
 def save_serials(store: KeyStore, serials: Serials) -> None:

@@ -1,9 +1,9 @@
 """Certificates of the network, and the directory of keys, certificates and grants. X.509 on P-256.
 
-A certificate's common name (CN) is the node's role, by which access is ruled; its names, of hosts or nodes, are
-the subject's alternative names (SAN). A role that only dials out gets one that no client accepts from a server.
-What is secret is its owner's alone, and nothing is overwritten. Zenoh says of no file which it is, nor that one is
-over: here everything that is wrong is one line that names the file and the cure.
+A certificate's common name (CN) is the node's role, which decides its access; its subject alternative names (SAN)
+are hosts or nodes. Roles that only dial out get a client certificate. Private files are readable by their owner
+only and not overwritten. Zenoh's errors name no file and no expiry: here each fault is one line with the file and
+the cure.
 """
 
 from __future__ import annotations
@@ -62,11 +62,9 @@ from schemas.command_line import CommandError, ExitCode, check_regular, plain
 from schemas.settings import ZenohSettings
 
 LEAF_DAYS: Final = 30  # life of a node's certificate
-RENEW_S: Final = LEAF_DAYS * 86_400 / 3  # it is time to renew when no more than this is left
-
+RENEW_S: Final = LEAF_DAYS * 86_400 / 3  # a certificate with less time left is due for renewal
 CA_DAYS: Final = 3653
-
-BACKDATED: Final = timedelta(minutes=5)  # a certificate is valid from a little earlier: no two clocks agree
+BACKDATED: Final = timedelta(minutes=5)  # a certificate begins so much earlier, since clocks differ
 
 NAME_PATTERN: Final = r"[A-Za-z0-9_.:-]{1,64}"
 
@@ -82,7 +80,7 @@ class Applicant(msgspec.Struct, frozen=True):
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
-    """A key on P-256, the curve that every TLS library has."""
+    """A key on P-256, the curve that every TLS library supports."""
     return ec.generate_private_key(ec.SECP256R1())
 
 
@@ -93,7 +91,7 @@ def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
 
 
 def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]) -> str:
-    """A request (CSR, PKCS #10) for a certificate, PEM: signed by the key that it is for."""
+    """A certificate request (CSR, PKCS #10), PEM, signed by its own key."""
     builder = x509.CertificateSigningRequestBuilder().subject_name(_name(role))
     return _pem(builder.add_extension(_alternatives(names), critical=False).sign(key, SHA256()))
 
@@ -103,11 +101,11 @@ def read_request(text: str) -> Applicant:
 
 
 def issue(text: str, role: TransportRole, certificates: str, key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
-    """The certificate that is asked for, PEM.
+    """Issue a node's certificate, PEM; it ends with the authority's at the latest.
 
     Args:
-        text: the request. Its names and its key are taken over; what else it wants is not.
-        certificates: of the authority that signs first; while two count, that of the former one too.
+        text: the request; only its names and its key are used.
+        certificates: first that of the signing authority; during a change of authorities also the former one's.
     """
     request, authority = _request(text), read_certificates(certificates)[0]
     if not fits(authority, key):
@@ -130,7 +128,7 @@ def read_certificates(text: str) -> list[x509.Certificate]:
     try:
         return x509.load_pem_x509_certificates(text.encode())
     except (ValueError, UnsupportedAlgorithm) as error:
-        raise EnrolmentError("it is no certificate") from error
+        raise EnrolmentError("not a certificate") from error
 
 
 def fits(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> bool:
@@ -167,9 +165,9 @@ def _request(text: str) -> x509.CertificateSigningRequest:
         request = x509.load_pem_x509_csr(text.encode())
         is_signed = request.is_signature_valid
     except (ValueError, UnsupportedAlgorithm, InvalidSignature) as error:
-        raise EnrolmentError("it holds no request for a certificate") from error
+        raise EnrolmentError("no certificate request in it") from error
     if not is_signed:
-        raise EnrolmentError("the request for a certificate is not signed by its own key")
+        raise EnrolmentError("the certificate request is not signed by its own key")
     _public_key(request)
     return request
 
@@ -179,16 +177,16 @@ def _applicant(request: x509.CertificateSigningRequest) -> Applicant:
     try:
         names = _names(request.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
     except (x509.ExtensionNotFound, ValueError) as error:
-        raise EnrolmentError("the request for a certificate has no name") from error
+        raise EnrolmentError("the certificate request has no name") from error
     if len(commons) != 1 or not names or not all(re.fullmatch(NAME_PATTERN, name) for name in names):
-        raise EnrolmentError("the request for a certificate has no role or no name")
+        raise EnrolmentError("the certificate request has no role or no name")
     return Applicant(str(commons[0].value), names, fingerprint(_raw(request.public_key())))
 
 
 def _public_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
     key = request.public_key()
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
-        raise EnrolmentError("the request for a certificate is not of a key on P-256")
+        raise EnrolmentError("the certificate request's key is not on P-256")
     return key
 
 
@@ -216,7 +214,7 @@ def _builder(
     subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now_s: int, until_s: int
 ) -> x509.CertificateBuilder:
     if until_s <= now_s:
-        raise EnrolmentError("the certificate of the authority is over")
+        raise EnrolmentError("the authority's certificate has expired")
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -261,12 +259,11 @@ STANDBY_FILE: Final = "standby.pub"
 
 OWNERS, FOR_ALL = 0o600, 0o644  # modes of files
 
-PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})
-"""Files that are copied to others, who have to read them: public keys of standby, authority and network."""
+PUBLIC: Final = frozenset({STANDBY_FILE, AUTHORITY_FILE, CA_FILE})  # public keys, to be copied by other users
 
 
 class Passphrase:
-    """The source of the keys' passphrase: a file, or the terminal, asked once."""
+    """The passphrase of the keys, from a file, or asked once at the terminal."""
 
     def __init__(self, file: str | None = None, *, is_wanted: bool = True) -> None:
         self._file = file
@@ -282,7 +279,9 @@ class Passphrase:
                 raise CommandError("the two passphrases differ", ExitCode.USAGE)
             self._known = text
         if not self._known:
-            raise CommandError("an empty passphrase protects nothing; --no-passphrase says so", ExitCode.USAGE)
+            raise CommandError(
+                "an empty passphrase protects nothing; use --no-passphrase for none", ExitCode.USAGE
+            )
         return BestAvailableEncryption(self._known)
 
     def of(self, path: Path) -> bytes:
@@ -299,17 +298,17 @@ class Passphrase:
     def _ask(self, prompt: str) -> bytes:
         if not sys.stdin.isatty():
             raise CommandError(
-                "there is no terminal to ask for a passphrase: say --passphrase-file, or --no-passphrase",
+                "no terminal to ask for a passphrase: give --passphrase-file or --no-passphrase",
                 ExitCode.USAGE,
             )
         try:
             return getpass.getpass(prompt).encode()
         except EOFError as error:
-            raise CommandError("no passphrase was given", ExitCode.USAGE) from error
+            raise CommandError("no passphrase given", ExitCode.USAGE) from error
 
 
 class KeyStore:
-    """A directory that is its owner's alone."""
+    """A directory that only its owner may write."""
 
     def __init__(self, directory: Path, passphrase: Passphrase | None = None) -> None:
         self.directory = directory
@@ -322,9 +321,9 @@ class KeyStore:
         return os.path.lexists(self.path(name))
 
     def write(
-        self, files: Mapping[str, str], *, replace: bool = False, cure: str = "--replace writes over"
+        self, files: Mapping[str, str], *, replace: bool = False, cure: str = "--replace overwrites it"
     ) -> None:
-        """Write files, all of them or none that is there already."""
+        """Write files, or none of them if one exists and ``replace`` is not set."""
         present = [name for name in files if self.has(name)]
         if present and not replace:
             raise CommandError(f"{plain(str(self.path(present[0])))} is there already; {cure}", ExitCode.USAGE)
@@ -356,7 +355,7 @@ class KeyStore:
             ) from error
 
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
-        """A private key as a file holds it, under the passphrase if it is to be protected."""
+        """A private key in PEM, encrypted with the passphrase if it is to be protected."""
         encryption = self._passphrase.new() if is_protected else NoEncryption()
         return private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption).decode()
 
@@ -380,7 +379,7 @@ class KeyStore:
         try:
             return load_pem_private_key(file.content, password)
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-            why = "the passphrase is wrong, or the file damaged" if is_protected else f"no private key; {cure}"
+            why = "the passphrase is wrong, or the file damaged" if is_protected else f"not a private key; {cure}"
             raise CommandError(f"{plain(str(file.path))}: {why}", ExitCode.USAGE) from error
 
     def _other_kind(self, name: str, cure: str) -> CommandError:
@@ -400,7 +399,7 @@ def read_input(path: Path, cure: str = "") -> bytes:
 
 @contextmanager
 def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
-    """Begin what is said to be wrong with a file's content with its name, and end it with the cure."""
+    """Add a file's name and the cure to a ``CommandError`` about its content."""
     try:
         yield
     except CommandError as error:
@@ -408,9 +407,9 @@ def naming(path: str | PurePath, cure: str = "") -> Iterator[None]:
 
 
 def replace_whole(path: Path, text: str, mode: int) -> None:
-    """Write a file of this mode: whole, or not at all; through no link."""
+    """Write a file atomically, with this mode, following no link."""
     unfinished = path.with_name(f".{path.name}.unfinished")
-    # What is left of a writing that was cut off, or what somebody else has put there to read along.
+    # A leftover of an interrupted write, or a file that somebody placed there to read along.
     unfinished.unlink(missing_ok=True)
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
     with os.fdopen(descriptor, "w", encoding="utf-8") as file:
@@ -422,11 +421,11 @@ def replace_whole(path: Path, text: str, mode: int) -> None:
 
 
 def write_file(path: Path, text: str, mode: int, *, replace: bool) -> None:
-    """Write a file, of keys or one that travels: whole, or not at all; through no link."""
+    """Write a file atomically; an existing one only with ``replace``."""
     shown = plain(str(path))
     try:
         if not replace and os.path.lexists(path):
-            raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
+            raise CommandError(f"{shown} is there already; --replace overwrites it", ExitCode.USAGE)
         replace_whole(path, text, mode)
     except OSError as error:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
@@ -444,7 +443,7 @@ class TlsFiles(NamedTuple):
 
 
 def tls_files(file: Path) -> TlsFiles | None:
-    """Return the files that a Zenoh file as it was provisioned names; None of one that somebody wrote in JSON5."""
+    """Return the files that a provisioned Zenoh file names; None for a file that was written by hand."""
     try:
         tls = json.loads(read_input(file))["transport"]["link"]["tls"]
         names = (tls[name] for name in ("root_ca_certificate", "connect_certificate", "connect_private_key"))
@@ -454,10 +453,10 @@ def tls_files(file: Path) -> TlsFiles | None:
 
 
 def check_tls_files(file: Path, who: str, now_s: float) -> str:
-    """Hold the certificate and key of a Zenoh file against each other, the network's authority and the time.
+    """Check certificate and key of a Zenoh file against each other, the network's authority and the time.
 
     Returns:
-        A warning that the certificate ends soon; empty if it does not.
+        A warning if the certificate ends soon; else empty.
     """
     files, cure = tls_files(file), renewed(who)
     if files is None:
@@ -469,8 +468,7 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
         raise CommandError(f"{shown} is not the certificate of {plain(str(files.key))}; {cure}", ExitCode.USAGE)
     if not is_issued(certificate, roots):
         raise CommandError(
-            f"{shown} is of another network than {plain(str(files.ca))}: "
-            f"none of its authorities signed it; {cure}",
+            f"{shown} is of another network than {plain(str(files.ca))}: no authority there signed it; {cure}",
             ExitCode.USAGE,
         )
     left_s = expires_s(certificate) - now_s
@@ -479,7 +477,7 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
 
 
 def check_kinds(file: Path) -> None:
-    """Check that a Zenoh file, and each that it names, is a regular file: Zenoh would wait for a FIFO for ever."""
+    """Check that a Zenoh file and the files that it names are regular: Zenoh would wait for ever for a FIFO."""
     named: Sequence[Path] = ()
     with suppress(CommandError):
         named = tls_files(file) or ()
@@ -489,21 +487,21 @@ def check_kinds(file: Path) -> None:
 
 
 def why_shut_out(file: Path, now_s: float) -> str:
-    """Return what is wrong with the files with which no session opened; empty if nothing is found."""
+    """Return the fault in the files of a session that did not open; empty if none is found."""
     try:
         check_tls_files(file, file.stem, now_s)
         for path in (tls_files(file) or ())[:2]:
             begins_in_s = begins_s(_read(path, "")[0]) - now_s
             if begins_in_s > 0:
                 begins = f"{plain(str(path))} begins in {begins_in_s / _DAY_S:.1f} days"
-                return f"{begins} by this computer's clock, which is behind: set it"
+                return f"{begins} by this computer's clock: the clock is behind, set it"
     except CommandError as error:
         return str(error)
     return ""
 
 
 def certificate_ends_s(settings: ZenohSettings) -> int | None:
-    """Return when the certificate ends that a session connects with, seconds since 1970; None if none is found."""
+    """Return the end of the session's certificate, seconds since 1970; None if none is found."""
     try:
         files = tls_files(Path(settings.config)) if settings.config else None
         return expires_s(_read(files.certificate, "")[0]) if files else None
@@ -512,7 +510,7 @@ def certificate_ends_s(settings: ZenohSettings) -> int | None:
 
 
 def role_of(file: Path) -> str:
-    """Return the role of the certificate that a Zenoh file names; empty if it names none that can be read."""
+    """Return the role in the certificate that a Zenoh file names; empty if it cannot be read."""
     try:
         files = tls_files(file)
     except CommandError:
@@ -534,11 +532,11 @@ def _check_end(path: Path, left_s: float, cure: str) -> None:
 
 
 def check_shut_out(directory: Path, now_s: float) -> None:
-    """Hold the certificate with which a robot tests its network against its key and the time."""
+    """Check the certificate with which a robot tests its network against its key and the time."""
     cure = "'cruiser provision renew robot' asks for it"
     path = directory / SHUT_OUT_FILE
     certificate = _read(path, cure)[0]
     _check_end(path, expires_s(certificate) - now_s, cure)
     key = KeyStore(directory).p256(TLS_KEY_FILE.format(who="robot"), remade("robot"))
     if not fits(certificate, key):
-        raise CommandError(f"{plain(str(path))} is not of the key beside it; {cure}", ExitCode.USAGE)
+        raise CommandError(f"{plain(str(path))} does not match the key beside it; {cure}", ExitCode.USAGE)

@@ -1,4 +1,4 @@
-"""The identity of this machine, or of the person at it: private key, grant and authority, out of their files.
+"""The identity of this machine or its user, read from files: private key, grant and authority.
 
 Each fault is one line that names the file and the cure.
 """
@@ -29,15 +29,15 @@ KEY_FILE, GRANT_FILE, AUTHORITY_FILE = "{who}.key", "{who}.grant", "authority.js
 
 FILE_MAX_BYTES: Final = 4_000_000
 
-OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO  # permissions that nobody but the owner may have on a private key
+OTHERS: Final = stat.S_IRWXG | stat.S_IRWXO  # permissions that only the owner may have on a private key
 
 
 class FoundFile(msgspec.Struct, frozen=True):
     """A file as it was found.
 
     Attributes:
-        mode: type and permissions, as of ``stat``.
-        is_own: it belongs to who reads it, or to root.
+        mode: type and permissions, as in ``stat``.
+        is_own: it belongs to this user or to root.
     """
 
     path: Path
@@ -47,7 +47,7 @@ class FoundFile(msgspec.Struct, frozen=True):
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """The private key, grant and authority of this machine, or of the person at it."""
+    """The private key, grant and authority of this machine or its user."""
 
     private: Ed25519PrivateKey
     chain: list[Signed]
@@ -60,7 +60,7 @@ def directory_of(settings: AuthoritySettings) -> Path:
 
 
 def find(path: Path, cure: str = "") -> FoundFile:
-    """A file, which is not large, with what it takes to judge whose it is."""
+    """Read a small file, with its permissions and owner."""
     shown = plain(str(path))
     try:
         check_regular(path, path.stat().st_mode)
@@ -72,7 +72,7 @@ def find(path: Path, cure: str = "") -> FoundFile:
     except OSError as error:
         raise CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE) from error
     if len(content) > FILE_MAX_BYTES:
-        raise CommandError(f"{shown} is too large to be what it should be", ExitCode.USAGE)
+        raise CommandError(f"{shown} is larger than {FILE_MAX_BYTES} bytes", ExitCode.USAGE)
     return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
 
 
@@ -85,27 +85,27 @@ def check_owner(file: FoundFile) -> None:
 
 
 def read_identity(directory: Path, who: str) -> Identity:
-    """Read a key and its grant, and check that they belong together.
+    """Read key, grant and authority, and check that they belong together.
 
     Args:
-        who: ``robot``, ``operator``, ``recorder``: the files' name.
+        who: ``robot``, ``operator`` or ``recorder``: the files' name.
     """
     key = find(directory / KEY_FILE.format(who=who), made(who))
     grant = find(directory / GRANT_FILE.format(who=who), installed(who))
     private, shown = _private_key(key, remade(who)), plain(str(grant.path))
     chain = read_chain(grant.content)
     if isinstance(chain, StatementFault):
-        raise CommandError(f"{shown} is no grant: {chain.detail}; {renewed(who)}", ExitCode.USAGE)
+        raise CommandError(f"{shown} is not a grant: {chain.detail}; {renewed(who)}", ExitCode.USAGE)
     if getattr(chain[0].statement, "key", "") != private.public_key().public_bytes_raw().hex():
         raise CommandError(
-            f"{shown} is not the grant of {plain(str(key.path))}: one of them is somebody else's; {renewed(who)}",
+            f"{shown} is not the grant of {plain(str(key.path))}: one of them belongs to another; {renewed(who)}",
             ExitCode.USAGE,
         )
     trust = read_trust(directory, who)
     if chain[-1].signer != trust.active:
         authority = plain(str(directory / AUTHORITY_FILE))
         raise CommandError(
-            f"{authority} is not of the authority that signed {shown}: one of them is of another fleet, or of "
+            f"{authority} is not of the authority that signed {shown}: one of them is of another fleet, or from "
             f"before a rotation; {renewed(who)}",
             ExitCode.USAGE,
         )
@@ -129,15 +129,15 @@ def _private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
     try:
         key = load_pem_private_key(file.content, None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        # OpenSSL's own words are about its decoders, and end with a link to its questions and answers.
-        raise CommandError(f"{shown} is no private key, or damaged; {cure}", ExitCode.USAGE) from error
+        # OpenSSL's own message is about its decoders.
+        raise CommandError(f"{shown} is not a private key, or damaged; {cure}", ExitCode.USAGE) from error
     if not isinstance(key, Ed25519PrivateKey):
-        raise CommandError(f"{shown} is no Ed25519 key; {cure}", ExitCode.USAGE)
+        raise CommandError(f"{shown} is not an Ed25519 key; {cure}", ExitCode.USAGE)
     return key
 
 
 def granted_name(directory: Path, who: str) -> str:
-    """Return the name in a grant, whose signature is not checked; empty if there is none in the form of a key."""
+    """Return the name in a grant, whose signature is not checked; empty if it is no valid chunk of a key."""
     try:
         chain = read_chain(find(directory / GRANT_FILE.format(who=who)).content)
     except CommandError:
@@ -148,7 +148,7 @@ def granted_name(directory: Path, who: str) -> str:
 
 
 def certificate_role(path: Path) -> str:
-    """The role that a certificate names, its common name; empty where none can be read."""
+    """The role in a certificate, its common name; empty if it cannot be read."""
     try:
         subject = x509.load_pem_x509_certificates(find(path).content)[0].subject
     except (CommandError, ValueError, UnsupportedAlgorithm):
@@ -156,22 +156,22 @@ def certificate_role(path: Path) -> str:
     return str(next((name.value for name in subject.get_attributes_for_oid(NameOID.COMMON_NAME)), ""))
 
 
-INSTALLED: Final = "'cruiser provision install' writes it, out of the bundle with which the authority answers"
+INSTALLED: Final = "'cruiser provision install' writes it from the authority's bundle"
 
 
 def made(who: str) -> str:
-    return f"'cruiser provision {who} NAME' makes it, and a request to the authority"
+    return f"'cruiser provision {who} NAME' makes it and a request to the authority"
 
 
 def remade(who: str) -> str:
-    return f"'cruiser provision {who} NAME --replace' makes another, and a request to the authority"
+    return f"'cruiser provision {who} NAME --replace' makes another and a request to the authority"
 
 
 def renewed(who: str) -> str:
-    """The cure for a certificate, a grant or an authority that is damaged, over, or somebody else's."""
+    """The cure for a damaged, expired or foreign certificate, grant or authority."""
     return f"'cruiser provision renew {who}' asks for another"
 
 
 def installed(who: str) -> str:
-    """The cure for what is missing of what the authority answers."""
-    return f"{INSTALLED} ({who}-NAME.bundle; --replace writes over what is left); {renewed(who)}"
+    """The cure for a missing file of a bundle."""
+    return f"{INSTALLED} ({who}-NAME.bundle; --replace overwrites what is there); {renewed(who)}"

@@ -1,18 +1,15 @@
-"""Signed bytes: their layouts, and statements of an authority.
+"""Layouts of signed bytes and attachments, and the signed statements of an authority.
 
-The proof that rides in the Zenoh attachment of a sample, a query or a reply. Payloads stay as they are.
-
-Signed are the exact bytes of the payload, with the key expression and the encoding under which they are sent:
+A proof is the Zenoh attachment of a sample, a query or a reply; payloads do not change. It signs the exact bytes
+of the payload, with their key expression and encoding:
 
     "cruiser-auth-1" 0x00 | kind | length part | length part | ...
 
-A length is four bytes, the highest first. The parts of each kind stand in the functions below. Every number in an
-attachment has its highest byte first; every attachment begins with the version of its layout.
+A length is four bytes. The functions below list the parts of each kind. Numbers are big-endian; every attachment
+begins with the version of its layout.
 
-Statements of an authority: grants, revocations, new authorities. JSON under a detached signature.
-
-A signed statement is two lines of text: the JSON, and the signature over exactly these bytes. Earlier versions let
-sites grant as well: their grants are followed by the site's own. Such a chain is read, to be refused in words.
+A statement of an authority is a grant, a list of revocations or a rotation to new keys: two lines of text, JSON
+and the signature over exactly these bytes. A chain of several statements, a grant by a site, is read and refused.
 
     {"kind":"grant","serial":17,"operator":"desk-1",...}
     ed25519 KEY_OF_THE_SIGNER SIGNATURE
@@ -39,11 +36,10 @@ if TYPE_CHECKING:
 
 VERSION: Final = 1
 
-DOMAIN: Final = b"cruiser-auth-1\0"  # every signed text begins so: a signature given elsewhere says nothing here
+DOMAIN: Final = b"cruiser-auth-1\0"  # begins every signed text: signatures made for other purposes do not fit
 SIGNATURE_BYTES: Final = 64  # of Ed25519 (RFC 8032)
-TAG_BYTES: Final = 16  # of HMAC-SHA256 (RFC 2104), cut to its first half
+TAG_BYTES: Final = 16  # of HMAC-SHA256 (RFC 2104), truncated to its first half
 KEY_BYTES: Final = 32  # of a public key, Ed25519 or X25519
-
 ID_BYTES: Final = 8
 
 
@@ -59,7 +55,7 @@ class ProofKind(Enum):
 
 
 def signed_bytes(kind: ProofKind, *parts: bytes) -> bytes:
-    """The text that is signed: no two lists of parts give the same."""
+    """The text to sign; different parts never give the same text."""
     return b"".join((DOMAIN, kind.value, *(piece for part in parts for piece in (_LENGTH.pack(len(part)), part))))
 
 
@@ -71,11 +67,11 @@ class RequestProof(msgspec.Struct, frozen=True):
 
     Attributes:
         grant: identifier of the signer's grant, see ``statement_id``.
-        challenge: the newest one of ``safety/state`` that the signer saw.
+        challenge: the newest one of ``safety/state`` that the signer received.
         nonce: random, never used before.
         signature: the operator's, Ed25519.
-        tag: HMAC-SHA256 of the same text under the key of the lease that its sender holds, cut; empty without one.
-            It proves nothing more, but to check it takes a thirtieth of the time.
+        tag: truncated HMAC-SHA256 of the same text with the key of the sender's lease; empty without a lease. It
+            proves nothing more, but takes a thirtieth of the time to check.
     """
 
     grant: bytes
@@ -96,7 +92,7 @@ class RequestProof(msgspec.Struct, frozen=True):
         return _REQUEST.pack(VERSION, self.grant, self.challenge, self.nonce, self.signature) + self.tag
 
     def signed(self, key: str, encoding: str, payload: bytes) -> bytes:
-        """The text under signature and tag: key expression, encoding, attachment up to the signature, payload."""
+        """The text to sign: key expression, encoding, attachment up to the signature, payload."""
         fields = self.attachment()[: _REQUEST.size - SIGNATURE_BYTES]
         return signed_bytes(ProofKind.REQUEST, key.encode(), encoding.encode(), fields, payload)
 
@@ -112,7 +108,7 @@ _REQUEST: Final = Struct(f">B{ID_BYTES}s{ID_BYTES}s{ID_BYTES}s{SIGNATURE_BYTES}s
 
 
 class DriveProof(msgspec.Struct, frozen=True):
-    """The attachment of a drive command: 25 bytes. Sequence and challenge stand in the payload."""
+    """The attachment of a drive command: 25 bytes. Sequence and challenge are in the payload."""
 
     lease: int
     tag: bytes = bytes(TAG_BYTES)
@@ -127,7 +123,7 @@ class DriveProof(msgspec.Struct, frozen=True):
         return _DRIVE.pack(VERSION, self.lease, self.tag)
 
     def signed(self, key: str, encoding: str, payload: bytes) -> bytes:
-        """The text under the tag: key expression, encoding, attachment without its tag, payload."""
+        """The text of the tag: key expression, encoding, attachment without its tag, payload."""
         fields = self.attachment()[:-TAG_BYTES]
         return signed_bytes(ProofKind.DRIVE, key.encode(), encoding.encode(), fields, payload)
 
@@ -151,12 +147,7 @@ class RobotProof(msgspec.Struct, frozen=True):
         return _ROBOT.pack(VERSION, self.boot, self.signature)
 
     def signed_reply(self, key: str, encoding: str, payload: bytes, request: bytes) -> bytes:
-        """The text under a reply's signature.
-
-        Args:
-            request: the attachment of the request that is answered; empty if it had none. So a reply answers one
-                request and no other.
-        """
+        """The text that a reply signs. ``request`` is the attachment of the request, empty if it had none."""
         fields = self.attachment()[:-SIGNATURE_BYTES]
         return signed_bytes(ProofKind.REPLY, key.encode(), encoding.encode(), fields, payload, request)
 
@@ -174,8 +165,7 @@ def statement_id(body: bytes) -> bytes:
     return hashlib.sha256(body).digest()[:ID_BYTES]
 
 
-STATEMENTS_MAX: Final = 3  # statements of the longest chain of earlier versions: of a person, a group, and a site
-
+STATEMENTS_MAX: Final = 3  # of the longest chain that is read; only a single statement is accepted
 ALGORITHM: Final = "ed25519"
 
 KeyHex = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}\Z", description="public key, Ed25519, hexadecimal")]
@@ -189,7 +179,7 @@ Verb = Annotated[str, Meta(pattern=r"^[a-z_]+\Z", max_length=32)]
 
 
 class GrantRole(Enum):
-    """The role of a grant's holder. The first three are those of a lease's holder; ``site`` was one."""
+    """The role of a grant's holder. The first three may hold a lease; ``site`` is refused."""
 
     PROGRAM = "program"
     OPERATOR = "operator"
@@ -200,23 +190,23 @@ class GrantRole(Enum):
 
 
 class _Statement(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", kw_only=True):
-    """Unknown fields are an error: one that restricts must not be passed over."""
+    """Unknown fields are an error: a restriction must not be ignored."""
 
 
 class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw_only=True):
     """Permission for one holder to use verbs, on some robots, for a limited time.
 
     Attributes:
-        serial: rises with each grant of its signer; for people.
-        name: the holder: an operator's chunk of the command keys, or a robot's.
+        serial: rises with each grant of its signer, for people.
+        name: the holder's: an operator's chunk of the command keys, or a robot's.
         key: the holder's.
         robots: patterns of robots' names, ``*`` for any letters.
-        verbs: those that the holder may ask of robots.
-        override: it may take the lease of a robot that moves.
-        speed_limit_mps: the robot drives no faster for this holder; none if absent.
-        not_before, not_after: it holds from the first to the second, both included.
-        epoch: authorities raise it to end all grants of before at once.
-        may_delegate: of earlier versions, read and without effect.
+        verbs: those that the holder may use.
+        override: the holder may take the lease of a moving robot.
+        speed_limit_mps: the holder's speed limit; none if absent.
+        not_before, not_after: the first and the last second in which it is valid.
+        epoch: raised by the authority to end all earlier grants at once.
+        may_delegate: has no effect.
     """
 
     serial: Serial
@@ -233,19 +223,19 @@ class Grant(_Statement, frozen=True, forbid_unknown_fields=True, tag="grant", kw
     may_delegate: Delegations = 0
 
     def covers(self, robot: str) -> bool:
-        # ``*`` is the only sign that a pattern may hold which means something to fnmatch; it takes no time that
-        # grows with a power of the stars, as a plain regular expression would.
+        # ``*`` is the only special character in a pattern. Unlike a regular expression's, fnmatch's time does not
+        # grow with a power of the number of stars.
         return any(fnmatchcase(robot, pattern) for pattern in self.robots)
 
 
 class Revocations(_Statement, frozen=True, forbid_unknown_fields=True, tag="revocations", kw_only=True):
-    """All that is revoked now. A list of a higher serial replaces one of a lower; never the other way.
+    """Everything that is revoked. A list with a higher serial replaces one with a lower.
 
     Attributes:
-        at: when it was signed.
-        grants: identifiers of grants.
-        keys: no grant of these holders counts.
-        epoch: no grant of a lower epoch counts.
+        at: time of signing.
+        grants: identifiers of revoked grants.
+        keys: holders whose grants are all revoked.
+        epoch: grants of a lower epoch are revoked.
     """
 
     serial: Serial
@@ -256,7 +246,7 @@ class Revocations(_Statement, frozen=True, forbid_unknown_fields=True, tag="revo
 
 
 class Rotation(_Statement, frozen=True, forbid_unknown_fields=True, tag="rotation", kw_only=True):
-    """The authority's keys from now on. Signed by the standby key, which the robots know."""
+    """New keys of the authority, signed by the standby key, which the robots know."""
 
     serial: Serial
     at: Time
@@ -289,7 +279,7 @@ class Signed(msgspec.Struct, frozen=True):
 
 
 class StatementFault(msgspec.Struct, frozen=True):
-    """A text that is no chain of signed statements. A value: what comes from the wire never raises."""
+    """The fault in a text that is not a chain of signed statements. A value: wire input never raises."""
 
     detail: str
 
@@ -299,10 +289,10 @@ def body_of(statement: Statement) -> bytes:
 
 
 def read_chain(text: bytes) -> list[Signed] | StatementFault:
-    """The statements of a chain, the first one first. Their signatures are not checked here.
+    """The statements of a chain, whose signatures are not checked here.
 
     Args:
-        text: pairs of lines. Blank lines, and lines that begin with ``#``, say nothing.
+        text: pairs of lines; blank lines and lines that begin with ``#`` are ignored.
     """
     if len(text) > TEXT_MAX_BYTES:
         return StatementFault(f"it is longer than {TEXT_MAX_BYTES} bytes")

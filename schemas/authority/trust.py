@@ -1,6 +1,6 @@
-"""Who is believed: grants against the fleet's authority and its revocations; keys by their fingerprints. Pure.
+"""The fleet's authority: which grants are valid, revocations and rotations, and fingerprints of keys. Pure.
 
-A grant holds where the authority's active key signed it, and where it is not over, revoked or of an old epoch.
+A grant is valid if the authority's active key signed it, and it is not expired, revoked or of an old epoch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from schemas.reasons import TEXTS, Reason
 
 
 def fingerprint(data: bytes) -> str:
-    """Return a text that two people compare by voice: the first half of a SHA-256, in groups."""
+    """Return a text that people can compare by phone: the first half of a SHA-256, in groups."""
     digest = hashlib.sha256(data).hexdigest()[:32]
     return "-".join(digest[start : start + 4] for start in range(0, len(digest), 4))
 
@@ -28,31 +28,23 @@ def key_fingerprint(key: str) -> str:
     return fingerprint(bytes.fromhex(key))
 
 
-KEYS_KEPT: Final = 512  # public keys that are kept as objects; to make one takes 20 us
-
+KEYS_KEPT: Final = 512  # cached key objects; making one takes 20 us
 SAME_AUTHORITY: Final = (
-    "it keeps the authority's key: make a new authority beside the new standby, and rotate to that"
+    "it keeps the authority's key: make a new authority along with the new standby, and rotate to that"
 )
-"""Of a rotation that replaces the standby alone."""
-
-BY_SITE: Final = (
-    "a site granted it, and the authority alone grants: sign the request there ('cruiser provision sign')"
-)
-"""Of a grant of an earlier version that no authority signed itself."""
-
-_LAST_S: Final = 253_402_300_799
-"""The end of the year 9999, seconds since 1970: a statement may name any time, and no calendar goes further."""
+BY_SITE: Final = "a site granted it, and only the authority may: sign the request there ('cruiser provision sign')"
+_LAST_S: Final = 253_402_300_799  # end of the year 9999, seconds since 1970: a statement may contain any number
 
 
 class Objection(msgspec.Struct, frozen=True):
-    """The reason why a proof is rejected, with the detail that the reason alone does not give."""
+    """The reason why a proof is rejected, with details."""
 
     reason: Reason
     detail: str = ""
 
     @property
     def text(self) -> str:
-        """The reason in words, with the detail. What a robot replies as a detail has the words already."""
+        """The reason's meaning, with the detail. A robot's reply has the meaning in its detail already."""
         means = TEXTS[self.reason].means
         return self.detail if self.detail.startswith(means) else "; ".join(filter(None, (means, self.detail)))
 
@@ -67,13 +59,13 @@ class HeldGrant(msgspec.Struct, frozen=True):
 
 
 class Trust(msgspec.Struct, frozen=True):
-    """The authority as it is known here. It is replaced by a newer one, never changed.
+    """The authority as it is known here; immutable.
 
     Attributes:
-        standby: the key that signs nothing but revocations and a rotation.
+        standby: the key that signs only revocations and rotations.
         rotation: the serial of the last rotation; 0 before the first.
         list_serial: that of the newest list of revocations; 0 before the first.
-        epoch: no grant of a lower one counts. It never falls under one authority.
+        epoch: grants of a lower one are not valid. It never falls under one authority.
     """
 
     active: bytes
@@ -88,7 +80,7 @@ class Trust(msgspec.Struct, frozen=True):
             return Objection(Reason.GRANT_UNKNOWN)
         signed, grant = chain[0], chain[0].statement
         if not isinstance(grant, Grant):
-            return Objection(Reason.MALFORMED, "it is no grant")
+            return Objection(Reason.MALFORMED, "it is not a grant")
         if len(chain) > 1:
             return Objection(Reason.NOT_GRANTED, BY_SITE)
         if signed.signer != self.active:
@@ -99,13 +91,13 @@ class Trust(msgspec.Struct, frozen=True):
         return self.objection(held, now_s) or held
 
     def has_signed(self, chain: list[Signed]) -> bool:
-        """Return True if a statement is this authority's; it may be over."""
+        """Return True if this authority signed the statement, expired or not."""
         first = chain[0]
         signers = {self.active} if isinstance(first.statement, Grant) else {self.active, self.standby}
         return len(chain) == 1 and first.signer in signers and is_signed(first)
 
     def objection(self, held: HeldGrant, now_s: int) -> Objection | None:
-        """Return why a grant that was verified once does not hold now; None if it does."""
+        """Return why a verified grant is not valid now; None if it is."""
         grant = held.grant
         if held.signed.signer != self.active:
             return Objection(Reason.GRANT_REVOKED, "its authority was replaced")
@@ -124,10 +116,10 @@ class Trust(msgspec.Struct, frozen=True):
         return None
 
     def revoke(self, signed: Signed) -> Trust | Objection:
-        """The trust after a list of revocations; a refusal if it is no newer one of the authority."""
+        """The trust after a list of revocations; an objection if it is not a newer list of this authority."""
         new = signed.statement
         if not isinstance(new, Revocations):
-            return Objection(Reason.MALFORMED, "it is no list of revocations")
+            return Objection(Reason.MALFORMED, "it is not a list of revocations")
         if signed.signer not in {self.active, self.standby} or not is_signed(signed):
             return Objection(Reason.PROOF_WRONG, "the list is not the authority's")
         if new.serial <= self.list_serial:
@@ -138,17 +130,17 @@ class Trust(msgspec.Struct, frozen=True):
         )
 
     def rotate(self, signed: Signed) -> Trust | Objection:
-        """The trust after a rotation; a refusal if it is no newer one of the standby key.
+        """The trust after a rotation; an objection if it is not a newer one by the standby key.
 
-        What a former authority revoked ends with what it granted: a thief of its key may have signed a list that
-        revokes all robots, under the highest serial and the highest epoch that there are.
+        The former authority's revocations end with its grants: a thief of its key may have signed a list that
+        revokes all robots, with the highest possible serial and epoch.
         """
         new = signed.statement
         if not isinstance(new, Rotation):
-            return Objection(Reason.MALFORMED, "it is no rotation")
+            return Objection(Reason.MALFORMED, "it is not a rotation")
         keys = bytes.fromhex(new.active), bytes.fromhex(new.standby)
         if signed.signer != self.standby and keys == (self.active, self.standby):
-            # By whomever: there is nothing to take over.
+            # Whoever signed it, it changes nothing.
             return Objection(Reason.REPLAYED, "the authority that it leads to is in force")
         if signed.signer != self.standby or not is_signed(signed):
             return Objection(Reason.PROOF_WRONG, "it is not signed by the standby key")
@@ -160,7 +152,7 @@ class Trust(msgspec.Struct, frozen=True):
 
 
 class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The fleet's authority, as a machine was told of it when it was provisioned: ``authority.json``."""
+    """The fleet's authority, as installed on a machine: ``authority.json``."""
 
     active: KeyHex
     standby: KeyHex
@@ -171,7 +163,7 @@ class AuthorityKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def keys_fingerprint(authority: AuthorityKeys) -> str:
-    """The fingerprint of both keys of an authority: of all that ``authority.json`` says."""
+    """The fingerprint of both keys of an authority, the content of ``authority.json``."""
     keys = (bytes.fromhex(authority.active), bytes.fromhex(authority.standby))
     return fingerprint(signed_bytes(ProofKind.STATEMENT, b"keys", *keys))
 
@@ -182,9 +174,10 @@ def is_signed(signed: Signed) -> bool:
 
 
 def fits(key: bytes, signature: bytes, text: bytes) -> bool:
-    """Return True if it is the Ed25519 signature of this key over this text. Never raises.
+    """Return True if this key made this Ed25519 signature over this text. Never raises.
 
-    A key of small order fits signatures that nobody made: whoever had one granted could deny all that it signed.
+    Keys of small order are refused: signatures that fit them can be made without a private key, so the holder of a
+    grant for one could deny every request.
     """
     if key[:31] + bytes(byte & 0x7F for byte in key[31:]) in SMALL_ORDER:
         return False
@@ -209,7 +202,7 @@ SMALL_ORDER: Final = frozenset(
         ),
     )
 )
-"""Public keys of small order, without the sign bit, in all their encodings; the same list as in libsodium."""
+"""Public keys of small order, without the sign bit, in all their encodings, as in libsodium."""
 
 
 @lru_cache(KEYS_KEPT)
@@ -218,8 +211,5 @@ def _public_key(key: bytes) -> Ed25519PublicKey:
 
 
 def in_utc(time_s: int) -> str:
-    """Seconds since 1970 as a person reads them, to the minute.
-
-    An age would be another text in every second, and logged as often; this is one in every minute.
-    """
+    """Seconds since 1970 as text, to the minute: with seconds, or as an age, it would be logged every second."""
     return datetime.fromtimestamp(min(max(time_s, 0), _LAST_S), UTC).strftime("%Y-%m-%d %H:%M UTC")

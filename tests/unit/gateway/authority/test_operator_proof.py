@@ -350,7 +350,7 @@ def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
             "the robot's own grant is signed by the authority's key {theirs}, and authority.json here names",
             "if it is a robot of yours, one of the two has files of a former authority: 'cruiser provision",
         ),
-        (Objection(Reason.PROOF_WRONG, "the reply is not the robot's"), "the reply is not the robot's", "check the"),
+        (Objection(Reason.PROOF_WRONG, "the reply is not the robot's"), "the reply is not the robot's", "check"),
     ],
     ids=lambda one: one.reason.value if isinstance(one, Objection) else "",
 )

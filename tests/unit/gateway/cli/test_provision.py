@@ -95,7 +95,7 @@ def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFle
 
 
 def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
-    """Files 0600, directories 0700. Others may read what travels or is copied, in which is no private key."""
+    """Files 0600, directories 0700. Others may read what travels or is copied, in which not a private key."""
     for role, name in (("robot", "cruiser-1"), ("operator", "ann"), ("router", "127.0.0.1")):
         fleet.let_in(role, name)
     directories = [path for path in fleet.place.iterdir() if path.is_dir() and path.name != "config"]
@@ -260,7 +260,7 @@ def test_a_name_that_has_a_key_gets_no_other_in_silence(
         assert "another key" not in capsys.readouterr().err
     renamed = ask_again(KeyStore(fleet.place / "ann"), EnrolmentRole.OPERATOR, ["bea"])
     (fleet.place / "bea.request").write_bytes(msgspec.json.encode(renamed))
-    assert "its key was let in as operator ann" in refused("sign", "bea.request", *authority)
+    assert "its key was enrolled as operator ann" in refused("sign", "bea.request", *authority)
     run("revoke", "cruiser-1", *authority)
     run("robot", "cruiser-1", "--directory", fleet.place / "third", "-o", "third.request")
     assert run("sign", "third.request", *authority) == 0
@@ -329,7 +329,7 @@ def test_a_revoked_key_is_let_in_nowhere(fleet: ProvisionedFleet) -> None:
     assert "the key of operator ann was revoked" in text
     assert f"list {newest.serial} of {time.strftime('%Y-%m-%d %H:%M', time.gmtime(newest.at))} UTC" in text
     assert text.endswith(
-        "'cruiser provision operator NAME --replace' makes another, and a request to the authority"
+        "'cruiser provision operator NAME --replace' makes another and a request to the authority"
     )
     run("operator", "ann", "--directory", ann, "-o", "new.request", "--replace")
     run("install", fleet.sign(fleet.place / "new.request"), "--directory", ann, "--replace")
@@ -360,7 +360,7 @@ def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None
     """A new epoch ends all grants of before, and with them the need to list them."""
     many = [word for number in range(300) for word in ("--key", f"{number:064x}")]
     revoked(fleet, *many[:200])
-    with pytest.raises(CommandError, match="longer than a robot takes"):
+    with pytest.raises(CommandError, match="longer than robots accept"):
         revoked(fleet, *many, "--replace")
     statement = said(revoked(fleet, "--epoch", *many[:2], "--replace"))
     assert (statement.keys, statement.epoch) == ([f"{0:064x}"], 1)
@@ -376,12 +376,10 @@ def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
     run("install", again, "--directory", robot, "--replace")
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "again.request", "--directory", new.place / "authority", "-o", "new.bundle")
-    assert "another authority's" in refused("install", "new.bundle", "--directory", robot)
+    assert "belongs to another authority" in refused("install", "new.bundle", "--directory", robot)
     before = {file: file.read_bytes() for file in robot.iterdir()}
     text = refused("install", "new.bundle", "--directory", robot, "--replace")
-    assert (
-        f"--fingerprint takes it over, if 'provision authority' or 'sign' showed {new.fingerprint} there" in text
-    )
+    assert f"--fingerprint installs it, if 'provision authority' or 'sign' printed {new.fingerprint} there" in text
     assert "not of that one" in refused(
         "install", "new.bundle", "--directory", robot, "--replace", "--fingerprint", fleet.fingerprint
     )
@@ -522,7 +520,7 @@ def test_a_key_that_others_may_read_is_refused(fleet: ProvisionedFleet) -> None:
     assert "another kind of key" in refused(*again)
     key.write_text("no key")
     assert re.search(
-        r"robot\.key: no private key; 'cruiser provision robot NAME --replace' makes", refused(*again)
+        r"robot\.key: not a private key; 'cruiser provision robot NAME --replace' makes", refused(*again)
     )
     bundle = fleet.sign(fleet.request("viewer", "hall"))
     (fleet.place / "hall").chmod(0o770)

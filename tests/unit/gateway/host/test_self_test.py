@@ -105,5 +105,5 @@ def test_what_could_not_be_tried_is_no_sound_router(settings: Settings, monkeypa
     directory = Path(settings.authority.directory)
     other = ProvisionedFleet(directory.parent / "other").let_in("robot", "cruiser-1")
     (directory / "nothing-tls.pem").write_bytes((other / "nothing-tls.pem").read_bytes())
-    with pytest.raises(CommandError, match="is not of the key beside it"):
+    with pytest.raises(CommandError, match="does not match the key beside it"):
         find_hole(settings)

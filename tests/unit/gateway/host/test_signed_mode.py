@@ -114,7 +114,7 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
             signed.save(effects.kept)
 
     wait_until(lambda: str(place) in bars.get(Reason.SELF_TEST, ""), tick)
-    assert "forget what was revoked" in bars[Reason.SELF_TEST]
+    assert "lose revocations" in bars[Reason.SELF_TEST]
     signed.close()
 
 

@@ -62,7 +62,7 @@ def test_a_certificate_does_not_outlive_its_authority() -> None:
     request = new_request(key, "viewer", ["hall"])
     late = issue(request, TransportRole.VIEWER, authority, ca, end_s - DAY_S)
     assert expires_s(read_certificates(late)[0]) == end_s
-    with pytest.raises(EnrolmentError, match="is over"):
+    with pytest.raises(EnrolmentError, match="has expired"):
         issue(request, TransportRole.VIEWER, authority, ca, end_s)
 
 
@@ -80,8 +80,8 @@ def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *,
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "no request"),
-        ("-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n", "no request"),
+        ("", "no certificate request in"),
+        ("-----BEGIN CERTIFICATE REQUEST-----\nAAAA\n-----END CERTIFICATE REQUEST-----\n", "no certificate"),
         (made_by_hand(new_key(), named=False, common="viewer"), "no name"),
         (made_by_hand(ed25519.Ed25519PrivateKey.generate(), named=True, common="viewer"), "P-256"),
         (made_by_hand(ec.generate_private_key(ec.SECP384R1()), named=True, common="viewer"), "P-256"),
@@ -160,7 +160,7 @@ def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
     """A file that is missing; a clock that is behind all certificates. Where nothing is wrong nothing is said."""
     begins = begins_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
     assert why_shut_out(file, begins + 1) == ""
-    assert "begins in 2.0 days by this computer's clock, which is behind: set it" in why_shut_out(
+    assert "begins in 2.0 days by this computer's clock: the clock is behind, set it" in why_shut_out(
         file, begins - 2 * DAY_S
     )
     file.with_name("router-tls.key").unlink()

@@ -20,8 +20,8 @@ from tests.support.provisioned import provision, write_authority
 FLEET = Fleet()
 ANN = FLEET.operator()
 RENEW = "; 'cruiser provision renew operator' asks for another"
-REMAKE = "; 'cruiser provision operator NAME --replace' makes another, and a request to the authority"
-ANSWERED = "; 'cruiser provision install' writes it, out of the bundle with which the authority answers"
+REMAKE = "; 'cruiser provision operator NAME --replace' makes another and a request to the authority"
+ANSWERED = "; 'cruiser provision install' writes it from the authority's bundle"
 OTHER_CURVE = generate_private_key(SECP256R1()).private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 Damage = Callable[[Path], object]
@@ -53,16 +53,16 @@ def test_files_that_belong_together_are_an_identity(place: Path) -> None:
     [
         (
             lambda place: (place / "operator.grant").write_text(chain_text(FLEET.operator("bob").chain)),
-            "operator.grant is not the grant of operator.key: one of them is somebody else's" + RENEW,
+            "operator.grant is not the grant of operator.key: one of them belongs to another" + RENEW,
         ),
         (
             lambda place: write_authority(place, Fleet()),
             "authority.json is not of the authority that signed operator.grant: one of them is of another fleet, "
-            "or of before a rotation" + RENEW,
+            "or from before a rotation" + RENEW,
         ),
         (
             lambda place: (place / "operator.key").write_bytes(OTHER_CURVE),
-            "operator.key is no Ed25519 key" + REMAKE,
+            "operator.key is not an Ed25519 key" + REMAKE,
         ),
         (
             lambda place: (place / "operator.key").chmod(0o640),
@@ -70,9 +70,9 @@ def test_files_that_belong_together_are_an_identity(place: Path) -> None:
         ),
         (
             lambda place: (place / "operator.key").write_text("-----BEGIN PRIVATE KEY-----\nMC4CAQA=\n"),
-            "operator.key is no private key, or damaged" + REMAKE,
+            "operator.key is not a private key, or damaged" + REMAKE,
         ),
-        (lambda place: (place / "operator.grant").write_text("x"), "operator.grant is no grant: "),
+        (lambda place: (place / "operator.grant").write_text("x"), "operator.grant is not a grant: "),
         (lambda place: (place / "authority.json").write_text("x"), "authority.json is damaged: "),
         (
             lambda place: (place / "operator.key").unlink(),

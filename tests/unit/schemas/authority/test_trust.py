@@ -72,7 +72,7 @@ def forged(fleet: Fleet) -> list[Signed]:
     ("chain", "reason", "detail"),
     [
         (lambda _: [], Reason.GRANT_UNKNOWN, ""),
-        (lambda fleet: [fleet.authority.revoke(1)], Reason.MALFORMED, "it is no grant"),
+        (lambda fleet: [fleet.authority.revoke(1)], Reason.MALFORMED, "it is not a grant"),
         (lambda _: Fleet().operator().chain, Reason.GRANT_UNKNOWN, STRANGE),
         (lambda fleet: fleet.standby.grant(Party("ann")), Reason.GRANT_UNKNOWN, STRANGE),
         (forged, Reason.PROOF_WRONG, "the signature of the grant does not fit"),
@@ -118,13 +118,13 @@ def test_lists_and_rotations_that_are_refused() -> None:
     malformed, wrong, replayed = Reason.MALFORMED, Reason.PROOF_WRONG, Reason.REPLAYED
     forged_list = msgspec.structs.replace(active.revoke(4), signature=bytes(64))
     for refused, reason, detail in (
-        (trust.revoke(grant), malformed, "it is no list of revocations"),
+        (trust.revoke(grant), malformed, "it is not a list of revocations"),
         (trust.revoke(stranger.revoke(4)), wrong, "the list is not the authority's"),
         (trust.revoke(fleet.site().revoke(4)), wrong, "the list is not the authority's"),
         (trust.revoke(forged_list), wrong, "the list is not the authority's"),
         (trust.revoke(active.revoke(3)), replayed, "list 3 after 3"),
         (trust.revoke(active.revoke(2)), replayed, "list 2 after 3"),
-        (trust.rotate(grant), malformed, "it is no rotation"),
+        (trust.rotate(grant), malformed, "it is not a rotation"),
         (trust.rotate(stranger.rotate(3, stranger, stranger)), wrong, "it is not signed by the standby key"),
         (trust.rotate(fleet.standby.rotate(2, stranger, stranger)), replayed, "rotation 2 after 2"),
     ):
