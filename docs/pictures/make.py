@@ -104,7 +104,7 @@ def _stopped(page: Page, address: str) -> None:
     page.goto(f"{address}#/robot/cruiser-{ROBOTS}")
     page.locator(".band .word", has_text="ready").wait_for()
     page.get_by_role("button", name=f"STOP cruiser-{ROBOTS}").click()
-    page.get_by_text("stands, latched, by measurement").wait_for()
+    page.get_by_text("stopped and latched (measured)").wait_for()
     page.get_by_role("button", name="Close").click()
     page.get_by_role("link", name="Fleet").click()
 

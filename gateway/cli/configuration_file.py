@@ -57,7 +57,7 @@ def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[s
     """
     if path == "":
         # As with --config "$FILE" where FILE is not set: a robot must not start with settings that nobody meant.
-        raise CommandError("--config names no file: its value is empty", ExitCode.USAGE)
+        raise CommandError("--config is empty: it must name a file", ExitCode.USAGE)
     file = path if path is not None else environ.get(CONFIG_VARIABLE) or None
     settings = merge(None if file is None else _read(file), environ, flags)
     if settings.zenoh.config:
@@ -88,8 +88,8 @@ def _read(file: str) -> TomlSource:
     shown = plain(file)
     if file.endswith(ZENOH_ENDING):
         raise CommandError(
-            f"{shown} is a file for Zenoh, which --zenoh-config takes; --config takes settings: "
-            f"{shown.removesuffix(ZENOH_ENDING)}.toml, as 'cruiser provision install' writes them",
+            f"{shown} is a Zenoh file, for --zenoh-config; --config takes a settings file: "
+            f"{shown.removesuffix(ZENOH_ENDING)}.toml, written by 'cruiser provision install'",
             ExitCode.USAGE,
         )
     try:

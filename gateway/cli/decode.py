@@ -147,13 +147,13 @@ _SHOWN: Final = 60  # characters of a wrong line that its fault shows
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "file", nargs="?", default="-", metavar="FILE", help="a candump log; standard input if left out"
+        "file", nargs="?", default="-", metavar="FILE", help="candump log (default: standard input)"
     )
     parser.add_argument(
         "--variant",
         dest="chassis.variant",
         choices=["coarse", "fine"],
-        help="firmware variant, which sets the scale of speeds (coarse)",
+        help="firmware variant, which sets the scale of speeds (default coarse)",
     )
 
 
@@ -204,9 +204,7 @@ def describe(decoder: FrameDecoder, raw: bytes, number: int) -> dict[str, Any] |
 
 def _variant(settings: Settings) -> Variant:
     if settings.chassis.variant == "auto":
-        sys.stderr.write(
-            "cruiser decode: no variant is given, taking coarse; --variant fine for the other scale\n"
-        )
+        sys.stderr.write("cruiser decode: no variant given, using coarse; --variant fine for the other scale\n")
         return Variant.COARSE
     return Variant(settings.chassis.variant)
 

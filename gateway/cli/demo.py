@@ -58,12 +58,7 @@ class Child:
         environment: all of its environment. Where it names no settings file, none is meant.
     """
 
-    def __init__(
-        self,
-        name: str,
-        words: Sequence[str],
-        environment: Mapping[str, str] = os.environ,
-    ) -> None:
+    def __init__(self, name: str, words: Sequence[str], environment: Mapping[str, str] = os.environ) -> None:
         self._name = name
         watched, self._held = os.pipe()
         try:
@@ -105,7 +100,7 @@ class Child:
 
     def wait_ready(self) -> str:
         if not self._spoke.wait(CHILD_READY_S):
-            raise CommandError(f"{self._name} does not get ready")
+            raise CommandError(f"{self._name} did not start in time")
         line = self._said[0] if self._said else ""
         if not line.startswith(f"{self._name}: "):
             self._process.wait()
@@ -136,7 +131,7 @@ class Child:
             self._process.wait(CHILD_END_S)
             out = self._process.stdout.read() if self._process.stdout else ""
         except subprocess.TimeoutExpired as error:
-            raise CommandError(f"{self._name} does not stop") from error
+            raise CommandError(f"{self._name} did not stop in time") from error
         # What a recorder dropped on a busy machine is in its result, and no reason to have none.
         if self._process.returncode not in {ExitCode.OK, ExitCode.PARTIAL}:
             self.check()
@@ -154,7 +149,7 @@ def address_of(chassis: Child) -> str:
     """Return HOST:PORT of a virtual chassis that was started on a free port."""
     ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
     if ready is None:
-        raise CommandError("the virtual chassis does not say where it is")
+        raise CommandError("the virtual chassis did not report its address")
     return ready[1]
 
 
@@ -190,19 +185,19 @@ def add_desk_arguments(parser: argparse._ArgumentGroup) -> None:
         type=partial(_whole, high=ROBOTS_MOST),
         default=ROBOTS,
         metavar="N",
-        help="how many (default on this machine %(default)s)",
+        help="number of robots (default on this machine %(default)s)",
     )
-    parser.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="no browser")
     parser.add_argument(
         "--listen",
         type=address,
         metavar="ADDRESS:PORT",
-        help=f"where the desk listens (127.0.0.1:{DESK_PORT}, or a free port if that is taken)",
+        help=f"address of the desk (default 127.0.0.1:{DESK_PORT}, or a free port)",
     )
     parser.add_argument(
         "--endpoint",
         metavar="ENDPOINT",
-        help=f"where the robots meet, on this machine alone ({DEFAULT_ENDPOINT}, or a free port if that is taken)",
+        help=f"Zenoh endpoint on this machine (default {DEFAULT_ENDPOINT}, or a free port)",
     )
 
 
@@ -210,7 +205,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
     endpoint = arguments.endpoint or with_port(DEFAULT_ENDPOINT, _port(split_endpoint(DEFAULT_ENDPOINT)[2]))
     listen = shown_address(*(arguments.listen or (HOST, _port(DESK_PORT))))
     configuration = [] if arguments.config is None else ["--config", arguments.config]
-    sys.stderr.write(f"demo: starts {arguments.robots} robots, a recorder and the desk\n")
+    sys.stderr.write(f"demo: starting {arguments.robots} robots, a recorder and the desk\n")
     with ExitStack() as stack:
         stack.callback(close_session, open_local_router(endpoint))
         # A stop by the guard in another run latches none of these; one in this run does.
@@ -228,7 +223,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
         desk = stack.enter_context(Child("desk", ["--listen", listen, "--logs", str(directory), *meets]))
         page = re.search(r"http://\S+/", desk.wait_ready())
         if page is None:
-            raise CommandError("the desk does not say where it is")
+            raise CommandError("the desk did not report its address")
         connect = "" if endpoint == DEFAULT_ENDPOINT else f" --connect {endpoint}"
         sys.stdout.write(_RUNS.format(address=page[0], directory=directory, connect=connect))
         sys.stdout.flush()
@@ -282,7 +277,7 @@ class VirtualRobot:
         if self.gateway.is_over:
             if self._begun > BEGUN_MAX:
                 self.gateway.check()
-            tell(f"{self._name}: its gateway has died. Its guard stops the robot; another gateway starts")
+            tell(f"{self._name}: its gateway died. The guard stops the robot; starting another gateway")
             self.begin()
         for path in self._state.glob(f"*.{self._name}.guard-stop"):
             line = StopNote(path).last()
@@ -304,12 +299,12 @@ def _port(wanted: int) -> int:
                 return int(probe.getsockname()[1])
         except OSError:
             continue
-    raise CommandError("this machine has no free port")
+    raise CommandError("no free port on this machine")
 
 
 def _whole(text: str, high: int) -> int:
     if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= high:
-        raise argparse.ArgumentTypeError(f"{text!a} is no whole number from 1 to {high}")
+        raise argparse.ArgumentTypeError(f"{text!a} is not a whole number from 1 to {high}")
     return int(text)
 
 
@@ -321,15 +316,15 @@ def _open_browser(page: str) -> None:
 
 _RUNS: Final = """\
 the desk      {address}
-              click a robot, Take control, hold the pad or an arrow key; STOP is Esc
+              click a robot, Take control, hold the pad or an arrow key; Esc is STOP
 the log       {directory}
-the terminal  cruiser list{connect}; cruiser why cruiser-1{connect}
-Ctrl-C ends all of it
+in a terminal cruiser list{connect}; cruiser why cruiser-1{connect}
+Ctrl-C ends everything
 """
 
 _LOGGED: Final = """\
 log: {path}
-open it in Foxglove, Lichtblick, PlotJuggler or rerun, or ask it:
+open it in Foxglove, Lichtblick, PlotJuggler or rerun, or review it:
   cruiser review events {directory}
   cruiser review report {directory}
 """
@@ -358,20 +353,15 @@ SETTLED_TICKS: Final = 50
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--seconds",
-        type=seconds,
-        metavar="N",
-        help="about how long (default 30, at least 20); with --desk until Ctrl-C if left out",
+        "--seconds", type=seconds, metavar="N", help="duration (default 30, at least 20; with --desk until Ctrl-C)"
     )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help=f"where the log goes, or DIR-2 and so on if that holds something ({OUT}, or {DESK_OUT})",
+        help=f"directory of the log, or DIR-2 and so on if it is not empty (default {OUT}, or {DESK_OUT})",
     )
-    parser.add_argument(
-        "--desk", action="store_true", help="instead: virtual robots and the desk, and the browser on it"
-    )
+    parser.add_argument("--desk", action="store_true", help="virtual robots and the desk in the browser instead")
     add_desk_arguments(parser.add_argument_group("with --desk"))
 
 
@@ -388,8 +378,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         logging.getLogger("gateway.client").setLevel(logging.ERROR)
     directory = fresh(arguments.out or OUT)
     sys.stderr.write(
-        f"demo: starts chassis, gateway and recorder; two operators drive for about {length_s:g} s; "
-        f"the log goes to {directory}\n"
+        f"demo: starting chassis, gateway and recorder; two operators drive for about {length_s:g} s; "
+        f"log directory {directory}\n"
     )
     path = _record(arguments.config, settings, stopped, directory, length_s)
     sys.stdout.write(_LOGGED.format(path=path, directory=directory))
@@ -474,19 +464,19 @@ class Play:
 
     def _bump(self, lease: Lease) -> None:
         self._drive(lease, SPEED_MPS, 0.0, 2.0)
-        self._tell("chassis", "the front bumper is hit, and stays pressed")
+        self._tell("chassis", "front bumper hit, and still pressed")
         cause(self._bus, "bumper front on")
         try:
             self._drive(lease, SPEED_MPS, 0.0, REST_TIMEOUT_S)
         except Stopped as error:
             if error.reason is not Reason.FRONT_BUMPER:
                 raise
-            self._tell(FIRST, f"is told: {error}")
+            self._tell(FIRST, f"gets: {error}")
         else:
             raise CommandError("the robot did not stop")
 
     def _drive_away(self, lease: Lease) -> None:
-        self._tell(FIRST, "drives away from the hit side")
+        self._tell(FIRST, "drives away from the obstacle")
         self._drive(lease, -0.5, 0.0, 1.5)
         cause(self._bus, "bumper front off")
 
@@ -501,7 +491,7 @@ class Play:
                 self._seen.wait_for(partial(self._has_begun, drive), READY_TIMEOUT_S)
                 self._go_on(1.0)
                 is_moving = not drive.is_over
-        self._tell(FIRST, "is gone: its process was killed")
+        self._tell(FIRST, "its process was killed")
 
     def _has_begun(self, drive: Child, state: SafetyState) -> bool:
         return self._stopped() or drive.is_over or state.output_speed_mps != 0
@@ -530,7 +520,7 @@ class Play:
             except (RobotError, Unreachable) as error:
                 if self._stopped() or time.monotonic() > end_s:
                     raise
-                self._tell(operator, f"is told: {error}; tries again, as on a busy machine")
+                self._tell(operator, f"gets: {error}; tries again (busy machine)")
             else:
                 return
 

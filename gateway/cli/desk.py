@@ -41,38 +41,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen",
         dest="desk.listen",
         metavar="ADDRESS:PORT",
-        help=f"where browsers ask ({DeskSettings().listen}: this machine alone); port 0 is a free one",
+        help=f"address for browsers (default {DeskSettings().listen}: this machine only); port 0: a free port",
     )
     parser.add_argument(
         "--certificate",
         dest="desk.certificate",
         metavar="FILE",
-        help="its certificate chain, PEM: needed beyond this machine",
+        help="certificate chain, PEM; required if other machines connect",
     )
-    parser.add_argument("--key", dest="desk.key", metavar="FILE", help="the certificate's private key, PEM")
+    parser.add_argument("--key", dest="desk.key", metavar="FILE", help="private key of the certificate, PEM")
     parser.add_argument(
         "--name",
         dest="desk.names",
         action="append",
         metavar="HOST",
-        help="a name under which browsers reach it; may be given several times",
+        help="name under which browsers reach the desk; may be repeated",
     )
     parser.add_argument(
         "--logs",
         dest="desk.logs",
         metavar="DIR",
-        help="a directory of logs: whoever opens the page may search and read them, and their reports",
+        help="directory of logs; anyone who opens the page may search and read them",
     )
     parser.add_argument(
         "--viewer",
         dest="desk.viewers",
         action="append",
         metavar="URL",
-        help="a viewer that opens a log by its address, such as https://app.foxglove.dev/~/view: its pages may "
-        "read the logs; may be given several times",
+        help="viewer that opens logs by URL, such as https://app.foxglove.dev/~/view; it may read all logs; "
+        "may be repeated",
     )
-    parser.add_argument("--logs-only", action="store_true", help="show the logs alone: no robot, and no Zenoh")
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--logs-only", action="store_true", help="only the logs: no robots, no Zenoh")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     add_zenoh_arguments(parser)
 
 
@@ -154,6 +154,6 @@ def usable_certificate(chain: Path | str | None, key: Path | str | None, host: s
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(*files)
     except (OSError, ValueError) as error:
-        text = f"{files[0]} and {files[1]} are no certificate with its key: {error}"
+        text = f"{files[0]} and {files[1]} are not a certificate and its key: {error}"
         raise CommandError(text, ExitCode.USAGE) from None
     return files

@@ -88,7 +88,7 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
         )
     except OSError as error:
         # Browsers may hold all files that this process may open, or others all processes.
-        return JobDone(None, b"", f"no process can be started: {error.strerror}")
+        return JobDone(None, b"", f"cannot start a process: {error.strerror}")
     with suppress(ProcessLookupError):
         # A sandbox may forbid it; the bounds below hold all the same.
         with suppress(PermissionError):
@@ -109,7 +109,7 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
             process.terminate()
         with suppress(TimeoutError):
             await asyncio.wait_for(asyncio.shield(reading), END_S)
-        return JobDone(None, b"", f"no answer within {seconds:.0f} s: ask 'cruiser review {words[0]}' itself")
+        return JobDone(None, b"", f"no answer within {seconds:.0f} s: use 'cruiser review {words[0]}'")
     finally:
         if process.returncode is None:
             with suppress(ProcessLookupError):
@@ -135,10 +135,10 @@ SANDBOX: Final = {
     # A report holds what was in a log. It is a page of nobody's, and reaches neither this server nor a browser's
     # keys.
     "Content-Security-Policy": "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'",
+    "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 }
 
-UNREADABLE: Final = "the user of this server may not read {}: give it the group of the recorder"
+UNREADABLE: Final = "the desk's user may not read {}: add it to the recorder's group"
 
 QUESTIONS_AT_ONCE: Final = 2
 """Processes that read logs beside the desk; of them one at a time brings the catalog up to date."""
@@ -176,7 +176,7 @@ def viewer(text: str) -> Viewer:
         parts, port = urlsplit(""), None
     if parts.scheme not in {"http", "https"} or not parts.hostname or parts.username is not None:
         raise CommandError(
-            f"desk.viewers: {text!a} is no address of a viewer, such as https://app.foxglove.dev/~/view",
+            f"desk.viewers: {text!a} is not the address of a viewer, such as https://app.foxglove.dev/~/view",
             ExitCode.USAGE,
         )
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
@@ -298,7 +298,7 @@ class DeskLogs:
             return missing()
         asked = {name: request.query_params.get(name, "")[:TEXT_MAX] for name in ("search", *FLAGS)}
         if not asked["search"].isalpha():
-            return PlainTextResponse("'search' is no word", 400)
+            return PlainTextResponse("'search' must be one word", 400)
         flags = [f"--{name}={asked[name]}" for name in FLAGS if asked[name]]
         words = [
             "find",
@@ -361,7 +361,7 @@ def _ended_with_the_desk(answer: Answer) -> Answer:
         try:
             return await answer(request)
         except asyncio.CancelledError:
-            return PlainTextResponse("the desk has ended", 503)
+            return PlainTextResponse("the desk is shutting down", 503)
 
     return quiet
 
@@ -372,7 +372,7 @@ def _last_line(text: str) -> str:
 
 def _readable_directory(directory: str) -> Path:
     if not os.path.isdir(directory):  # noqa: PTH112 - Path raises where a directory above may not be read
-        raise CommandError(f"{directory} is no directory (desk.logs)", ExitCode.USAGE)
+        raise CommandError(f"{directory} is not a directory (desk.logs)", ExitCode.USAGE)
     if not os.access(directory, os.R_OK | os.X_OK):
         raise CommandError(f"{UNREADABLE.format(directory)} (desk.logs)", ExitCode.USAGE)
     return Path(directory)
@@ -425,11 +425,11 @@ def forbidden(path: Path) -> Response:
 
 
 def missing() -> Response:
-    return PlainTextResponse("there is no such log", 404)
+    return PlainTextResponse("no such log", 404)
 
 
 def busy() -> Response:
-    return PlainTextResponse("too many questions wait already: ask again in a minute", 503)
+    return PlainTextResponse("too many questions are waiting: try again in a minute", 503)
 
 
 def _is_file(path: Path) -> bool:

@@ -93,7 +93,7 @@ TOO_MUCH: Final = b"\x88\x02\x03\xf0"
 """The frame that closes a WebSocket with the code 1008: it broke a rule of this server."""
 
 TRY_AGAIN_LATER: Final = 1013
-FULL: Final = "Too many pages of this address are open here. Close one, and try again."
+FULL: Final = "Too many pages are open from this address. Close one and try again."
 """The code with which a WebSocket is refused, and its reason."""
 
 
@@ -183,7 +183,7 @@ class Door:
         except (BlockingIOError, ConnectionAbortedError, InterruptedError):
             return
         except OSError as error:
-            log.warning("nobody is let in for a while: %s", error.strerror)
+            log.warning("no connections accepted for a while: %s", error.strerror)
             pause_s = EXHAUSTED_S
         loop.remove_reader(self._listening)
         loop.call_later(pause_s, self._accept_again)
@@ -373,7 +373,7 @@ class _Connection(asyncio.BufferedProtocol):
         try:
             self.inner.data_received(portion)
         except Exception:
-            log.exception("a connection of %s is cut: what it said cannot be read", self.peer)
+            log.exception("closing a connection of %s: its data cannot be read", self.peer)
             self.cut()
             return
         if self._frames is not None and self._frames.pieces > PIECES_MAX:
@@ -545,7 +545,7 @@ class Hub:
         try:
             self._obey(browser, words.decode(data))
         except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
-            browser.tell(words.DeskRefused(f"the desk cannot read this: {error}"))
+            browser.tell(words.DeskRefused(f"the desk cannot read this message: {error}"))
         except (CommandError, ValueError) as error:
             browser.tell(words.DeskRefused(str(error)))
 
@@ -562,12 +562,12 @@ class Hub:
                 self._stop(browser, said)
             case words.BrowserAsk():
                 if said.verb not in REQUESTS:
-                    raise ValueError(f"there is no verb {said.verb!a}")
+                    raise ValueError(f"unknown verb {said.verb!a}")
                 key = keys.command(self._root, said.robot, said.operator, said.verb)
                 self._ask(browser, said.number, key, BY_VERB[said.verb].encoding, said.payload, said.attachment)
             case words.BrowserAcknowledge():
                 if not self._view.shows(said.robot):
-                    raise ValueError(f"no robot {said.robot} is heard")
+                    raise ValueError(f"unknown robot {said.robot}")
                 self._view.acknowledge(said.robot, said.word, said.operator)
             case words.BrowserShow():
                 key = keys.authority(self._root, said.robot)
@@ -588,7 +588,7 @@ class Hub:
         self, browser: Browser, number: int, key: str, encoding: str, payload: bytes, attachment: bytes
     ) -> None:
         if len(browser.questions) >= QUESTIONS_MAX or number in browser.questions:
-            raise ValueError("too many questions are under way: wait for their replies")
+            raise ValueError("too many requests are pending: wait for their replies")
         question = PendingQuery()
         browser.questions[number] = question
         self._port.query(key, question, payload, encoding, attachment, ASK_S)
@@ -601,7 +601,7 @@ class Hub:
         robot = said.robot or keys.ALL
         self._port.put_signed(keys.command(self._root, robot, said.operator, STOP_VERB), STOP_VERB, b"", b"")
         if len(browser.stops | {robot}) > STOPS_MAX:
-            fault = "the stop was sent; what comes of it is not looked for, since too many are under way"
+            fault = "the stop was sent; its outcome is not tracked, because too many stops are pending"
             browser.tell(words.DeskRefused(fault, stop=said.robot))
             return
         browser.stops.add(robot)
@@ -619,7 +619,7 @@ class Hub:
         outcome: words.DeskRefused | words.DeskStopped
         error = done.exception()
         if error is not None:
-            outcome = words.DeskRefused(f"it is not known what came of the stop: {error}", stop=named)
+            outcome = words.DeskRefused(f"the outcome of the stop is unknown: {error}", stop=named)
         else:
             report = done.result()
             outcome = words.DeskStopped(

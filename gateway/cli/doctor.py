@@ -75,19 +75,19 @@ OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Listens to the bus, asks the gateway and the recorder, and looks at this computer. One line a finding, "
-        "with its cure; exit code 1 if something must be done. Then the metres that the settings add up to. It "
-        "sends no command."
+        "Listens to the bus, asks the gateway and the recorder, and checks this computer. Prints one line per "
+        "finding, with its cure, then the stopping distance that the settings add up to. Sends no command. Exit "
+        "code 1 if something must be done."
     )
     add_bus_arguments(parser)
-    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="where the logs go")
+    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="directory of the logs")
     parser.add_argument(
-        "--timeout", type=seconds, default=3.0, metavar="S", help="how long to wait for the gateway (3)"
+        "--timeout", type=seconds, default=3.0, metavar="S", help="time to wait for the gateway (default 3)"
     )
     parser.add_argument(
         "--intrude",
         action="store_true",
-        help="signed mode: see that the router shuts out a certificate without any right; some seconds",
+        help="signed mode: test that the router rejects a certificate without rights; takes some seconds",
     )
     parser.add_argument("--json", action="store_true", help="one JSON object: ok, summary, findings, reach")
     add_zenoh_arguments(parser)
@@ -106,11 +106,11 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _tried(settings: Settings) -> str:
     """Return what somebody without any right can do to the robot, or why that was not tried; empty if nothing."""
     if settings.authority.mode != "signed":
-        return 'in open mode nobody is shut out; authority.mode = "signed"'
+        return 'open mode rejects no client; set authority.mode = "signed"'
     try:
         return find_hole(settings)
     except CommandError as error:
-        return f"it cannot be tried whether the router shuts anybody out: {error}"
+        return f"the router's access control cannot be tested: {error}"
 
 
 def _check_role(settings: Settings) -> None:
@@ -118,9 +118,9 @@ def _check_role(settings: Settings) -> None:
     role = role_of(Path(settings.zenoh.config)) if settings.zenoh.config else ""
     if role in OTHER_ROLES and not (directory_of(settings.authority) / KEY_FILE.format(who="robot")).exists():
         raise CommandError(
-            f"these are the settings of a machine of the role {role} ({plain(settings.zenoh.config)}), and doctor "
-            "looks at the computer of a robot: run it there, 'cruiser doctor --config robot.toml'; from here "
-            "'cruiser list' and 'cruiser why ROBOT' say how robots are",
+            f"these are the settings of a machine of the role {role} ({plain(settings.zenoh.config)}), but doctor "
+            "checks a robot's computer: run it there, 'cruiser doctor --config robot.toml'; from here use "
+            "'cruiser list' and 'cruiser why ROBOT'",
             ExitCode.USAGE,
         )
 
@@ -217,7 +217,7 @@ def _ask(
         if linked_s is not None and is_answered and now_s - linked_s > HEARS_S:
             break
         time.sleep(POLL_S)
-    why_not = "" if linked_s is not None else f"no Zenoh node answers within {timeout_s:g} s"
+    why_not = "" if linked_s is not None else f"no Zenoh node answered within {timeout_s:g} s"
     health, safety, state = (newest.get(kind) for kind in (GatewayHealth, SafetyState, RobotState))
     return ZenohReport(
         where,

@@ -226,10 +226,7 @@ class Cockpit(msgspec.Struct, frozen=True):
 def panel(cockpit: Cockpit) -> RenderableType:
     state, chassis = cockpit.sighting.state, cockpit.sighting.chassis
     good = state.state is ArbiterState.ENGAGED
-    lines = [
-        Text(state_line(state), style=GOOD if good else BAD),
-        Text(_speeds(cockpit)),
-    ]
+    lines = [Text(state_line(state), style=GOOD if good else BAD), Text(_speeds(cockpit))]
     link = link_line(state)
     if link:
         lines.append(Text(link))
@@ -251,15 +248,15 @@ def _speeds(cockpit: Cockpit) -> str:
         f"{cockpit.speed_mps * cockpit.wish.forward:+z.2f} m/s {cockpit.angle_deg * cockpit.wish.left:+z.0f} deg"
     )
     told = f"{state.output_speed_mps:+z.2f} m/s {state.output_angle_deg:+z.0f} deg"
-    return f"asked {asked}, told {told}, measured {measured}, limit {state.speed_limit_mps:.2f} m/s"
+    return f"requested {asked}, commanded {told}, measured {measured}, limit {state.speed_limit_mps:.2f} m/s"
 
 
 def _keys(cockpit: Cockpit) -> list[str]:
     return [
-        "hold to move, which begins when the key repeats: w s or arrows, a d steer; any other key: stand",
-        "u o forward and m . backward in a curve, to the left and to the right",
+        "hold to move (starts when the key repeats): w s or arrows, a d steer; any other key: zero speed",
+        "curves: u o forward, m . backward, left and right",
         f"+ - speed ({cockpit.speed_mps:.2f} m/s)",
-        "g engage, r reset; x, q or Ctrl-C: stop and leave",
+        "g engage, r reset; x, q or Ctrl-C: stop and quit",
     ]
 
 
@@ -284,28 +281,29 @@ _LEAVE: Final = frozenset({"q", "x", "ctrl-c"})
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
-        "The robot moves while a key repeats: motion begins with the first repeat, half a second after the key\n"
-        f"was pressed, and zero speed is commanded {REPEAT_NS / 1e9:g} s after the last. It stops on\n"
-        "any other key, and when the terminal is closed, or this program or its link ends. To hold and steer\n"
-        "freely: cruiser desk."
+        "The robot moves while a key repeats: motion starts with the first repeat, half a second after the\n"
+        f"press, and zero speed is commanded {REPEAT_NS / 1e9:g} s after the last. Any other key, a closed\n"
+        "terminal and a lost link stop it. 'cruiser desk' steers more smoothly."
     )
     add_robot_arguments(parser)
     parser.add_argument(
-        "--speed", type=_speed, metavar="M/S", help=f"backward if negative ({SPEED_MPS:g} with keys)"
+        "--speed",
+        type=_speed,
+        metavar="M/S",
+        help=f"speed, negative is backward (default {SPEED_MPS:g} with keys)",
     )
     parser.add_argument(
         "--angle",
         type=_angle,
         metavar="DEG",
-        help=f"left is positive ({ANGLE_DEG:g} with keys, 0 else)",
+        help=f"steering angle, positive is left (default {ANGLE_DEG:g} with keys, 0 otherwise)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="S", help="drive for this time, without a terminal")
+    parser.add_argument("--seconds", type=seconds, metavar="S", help="duration of a drive without a terminal")
     parser.add_argument(
         "--deadman",
         type=_deadman,
         metavar="S",
-        help=f"stop no sooner than after S without a command, at most {DEADMAN_MAX_S:g}: for a link that stalls; "
-        "the robot drives the slower for it",
+        help=f"command timeout, at most {DEADMAN_MAX_S:g}: longer for a link that stalls; lowers the speed limit",
     )
     add_take_arguments(parser)
 
@@ -314,7 +312,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Drive. Exit code 1 if the robot was stopped, or did not move; 3 if a script's drive was ended early."""
     by_script = arguments.seconds is not None
     if by_script and arguments.speed is None:
-        raise CommandError("--seconds wants --speed too", ExitCode.USAGE)
+        raise CommandError("--seconds needs --speed", ExitCode.USAGE)
     if not by_script and not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise CommandError(
             "no terminal to read keys from; for scripts: --speed, --angle, --seconds", ExitCode.USAGE
@@ -323,7 +321,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         if by_script:
             return int(_by_script(robot, lease, arguments, stopped))
         _Keys(robot, lease, arguments).drive(stopped)
-    sys.stdout.write(f"{robot.name}: left; it stands by, and the lease is given back\n")
+    sys.stdout.write(f"{robot.name}: stopped and on standby; lease released\n")
     return int(ExitCode.OK)
 
 
@@ -346,11 +344,11 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
         sys.stderr.write(f"{robot.name} did not move\n")
         sys.stderr.writelines(f"  {reason_line(reason, robot.name, blocked_by)}\n" for reason in blocked_by)
         return ExitCode.FAILURE
-    sys.stdout.write(f"{robot.name}: driven for {took_s:.3g} s, at most {fastest_mps:.2f} m/s\n")
+    sys.stdout.write(f"{robot.name}: driven for {took_s:.3g} s, top speed {fastest_mps:.2f} m/s\n")
     if link:
         sys.stdout.write(f"  {link}\n")
     if is_early:
-        sys.stderr.write(f"{robot.name}: ended early, of {arguments.seconds:g} s\n")
+        sys.stderr.write(f"{robot.name}: ended before {arguments.seconds:g} s were over\n")
         return ExitCode.PARTIAL
     return ExitCode.OK
 
@@ -418,7 +416,9 @@ class _Keys:
         try:
             # Whoever presses the key has the names before them.
             of = next((name for name in self._robot.state().state.stopped_by if name != self._robot.operator), "")
-            self._message = f"reset: {self._lease.reset(of, wait=False) or 'nothing was latched'}; g engages"
+            self._message = (
+                f"reset: {self._lease.reset(of, wait=False) or 'nothing was latched'}; press g to engage"
+            )
         except Refused as error:
             self._message = str(error)
         self._keys.release_all()
@@ -449,7 +449,7 @@ class _Keys:
 def _deadman(text: str) -> float:
     value = seconds(text)
     if value > DEADMAN_MAX_S:
-        raise argparse.ArgumentTypeError(f"{text} s is longer than a deadman may be, {DEADMAN_MAX_S:g} s")
+        raise argparse.ArgumentTypeError(f"{text} s is longer than the maximum timeout, {DEADMAN_MAX_S:g} s")
     return value
 
 
@@ -469,5 +469,5 @@ def _number(text: str, top: float, unit: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number")
     if abs(value) > top:
-        raise argparse.ArgumentTypeError(f"{text} {unit} is more than the chassis can do, {top:g} {unit}")
+        raise argparse.ArgumentTypeError(f"{text} {unit} is above the chassis's maximum, {top:g} {unit}")
     return value

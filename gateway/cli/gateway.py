@@ -50,7 +50,7 @@ EXAMPLE = """\
   cruiser gateway --interface socketcand --channel 127.0.0.1:29536   (the virtual chassis of 'cruiser sim')"""
 
 RUN_BITS = 53  # every language's numbers hold as many
-HELD_BY_MOTOR = "the robot is held by the motor alone, its parking brake does not hold it: chock its wheels"
+HELD_BY_MOTOR = "only the motor holds the robot, its parking brake does not: chock its wheels"
 
 VERSIONS_TOLD = ("cruiser-gateway", "eclipse-zenoh", "python-can", "msgspec")
 
@@ -61,22 +61,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bus_arguments(parser)
     add_variant_argument(parser)
     parser.add_argument(
-        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint"
+        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="Zenoh endpoint to listen on"
     )
     add_zenoh_arguments(parser)
     parser.add_argument(
         "--listen-only",
         dest="gateway.listen_only",
         action=argparse.BooleanOptionalAction,
-        help="send nothing on the bus, whatever is asked",
+        help="telemetry only: send nothing on the bus",
     )
     parser.add_argument(
         "--wait-for-bus",
         dest="gateway.wait_for_bus",
         action=argparse.BooleanOptionalAction,
-        help="start although the bus is not there",
+        help="start even if the bus is missing",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
 
 
 @contextmanager
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         if inbox is not None and guard.why_not:
             log.warning("%s", _unguarded(settings, guard.why_not))
         if place.connect and not place.is_client and not node.peers():
-            log.warning("no Zenoh node answers at %s yet; trying on", plain(", ".join(place.connect)))
+            log.warning("no Zenoh node answers at %s yet; retrying", plain(", ".join(place.connect)))
         request_realtime(settings.gateway.realtime_priority)
         if inbox is not None and not has_realtime():
             log.warning("%s", _without_realtime(settings))
@@ -283,7 +283,7 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
     counters = bytes(core.command.maker.counters.values())
     stopper.begin(told, core.command.arbiter.output.variant, counters, time.monotonic_ns())
     outcome = stop_alone(bus, stopper, view, lambda: guard.look().is_sending)
-    text = f"the loop has failed, and no guard watches: the robot was stopped from here; {outcome}"
+    text = f"the loop has failed and there is no guard: the gateway stopped the robot itself; {outcome}"
     log.error("%s", text)
     with suppress(OSError):
         StopNote.of(settings).add(f"gateway: {text}")
@@ -302,7 +302,7 @@ def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:
     note = StopNote.of(settings)
     why_not = note.why_not()
     if core.command is not None and why_not:
-        log.warning("what is latched, a stop by the guard too, will not stay so across a restart: %s", why_not)
+        log.warning("latches, including a stop by the guard, will not survive a restart: %s", why_not)
     words = note.read()
     if words:
         core.latch_guard_stop(words, time.monotonic_ns())
@@ -318,14 +318,14 @@ def _without_realtime(settings: Settings) -> str:
 
 def _shared(settings: Settings) -> str:
     return (
-        f"another gateway on this machine commands {describe(settings.can)} too: a chassis takes commands from "
-        "one alone, and the arbiters stop it where two meet; end one, or give it --listen-only"
+        f"another gateway on this machine commands {describe(settings.can)} too: two gateways on one chassis stop "
+        "each other; end one, or start it with --listen-only"
     )
 
 
 def _unguarded(settings: Settings, why: str) -> str:
     consequence = (
-        "engaging is accepted all the same (gateway.accept_unguarded), up to "
+        "engaging is allowed anyway (gateway.accept_unguarded), up to "
         f"{settings.command.speed_limit_without_realtime_mps:g} m/s"
         if settings.gateway.accept_unguarded
         else "engaging is refused (gateway.accept_unguarded = true would accept it)"
@@ -343,7 +343,9 @@ def _first_bus(settings: Settings) -> Bus | None:
     except BusLost as error:
         if settings.gateway.wait_for_bus:
             return None
-        raise CommandError(f"{error} (--wait-for-bus starts without it)", ExitCode.UNREACHABLE) from error
+        raise CommandError(
+            f"{error} (with --wait-for-bus the gateway starts without it)", ExitCode.UNREACHABLE
+        ) from error
 
 
 def _info(settings: Settings, core: Core, place: ZenohPlace) -> Callable[[], bytes]:

@@ -42,15 +42,15 @@ _EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED, OTHER: Exit
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Listens, says what it finds, and brings a robot that nobody commands any more to rest: zero speed, "
-        "parking brake, then silence. It waits for a guard at work, and for a remote control "
-        "that has the robot: the chassis would obey its last command again afterwards. A gateway that starts "
-        "afterwards wants a reset first. Not an emergency stop: that is the button on the robot."
+        "Listens to the bus, reports what it finds, and stops a robot that no gateway commands: zero speed, "
+        "parking brake, then no more frames. Waits while a guard stops the robot, or the remote control has it: "
+        "afterwards the chassis would execute its last command again. The next gateway needs a reset. "
+        "Not an emergency stop: that is the button on the robot."
     )
     add_bus_arguments(parser)
     add_variant_argument(parser)
     parser.add_argument(
-        "--force", action="store_true", help="send although the robot stands, or although another computer sends"
+        "--force", action="store_true", help="send even if the robot stands, or another computer sends"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object at the end: ok, outcome, frames_sent")
     parser.add_argument(
@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=seconds,
         default=HALT_YIELD_NS / 1e9,
         metavar="N",
-        help="wait so many seconds at most for another sender, or for the remote control (default %(default)g)",
+        help="longest wait for another sender or the remote control (default %(default)g s)",
     )
 
 
@@ -102,24 +102,22 @@ class HaltSequence:
     def run(self, *, force: bool) -> ExitCode:
         self._listen(HALT_LISTEN_NS)
         if self._is_commanded() and not force:
-            _say("another sender commands the chassis, perhaps the guard: waiting until it has done")
+            _say("another sender, perhaps the guard, commands the chassis: waiting for its end")
             if not self._wait_while(self._is_commanded):
-                outcome = "it sends on, so nothing is sent from here; --force sends all the same"
+                outcome = "the other sender goes on, so nothing is sent; --force sends anyway"
                 return self._end(outcome, ExitCode.REFUSED)
         if self._is_remote():
-            _say(f"{REMOTE}: waiting until it gives it back")
+            _say(f"{REMOTE}: waiting for its release")
             if not self._wait_while(self._is_remote):
                 return self._end(f"{REMOTE}, so nothing is sent", ExitCode.REFUSED)
         now_ns = time.monotonic_ns()
         mode, stands = self._view.mode(now_ns), self._view.stands(self._detector.in_force, now_ns)
         if not self._view.has_feedback(now_ns):
-            _say(f"no feedback on {self._where}: stopping blindly")
+            _say(f"no feedback on {self._where}: stopping without it")
         else:
             _say(f"mode {mode.value}, {STANDS if stands else UNSEEN}")
         if mode is Mode.STOP and stands and not force:
-            return self._end(
-                "there is nothing to stop, so nothing is sent; --force sends all the same", ExitCode.OK
-            )
+            return self._end("nothing to stop, so nothing is sent; --force sends anyway", ExitCode.OK)
         return self._send()
 
     def _end(self, outcome: str, code: ExitCode, say: Callable[[str], None] | None = None) -> ExitCode:
@@ -196,7 +194,7 @@ class HaltSequence:
                 count = self._send_all(stopper, now_ns, frames)
                 failures = failures + 1 if count < len(frames) else 0
             if failures >= SEND_FAILURES:
-                return self._end("the bus takes no frames", ExitCode.UNREACHABLE, say)
+                return self._end("the bus accepts no frames", ExitCode.UNREACHABLE, say)
             self._receive_until(now_ns + GUARD_POLL_NS)
         code = _EXIT_CODES.get(stopper.outcome, ExitCode.FAILURE)
         return self._end(f"{stopper.outcome}; {stopper.frames} frames sent", code, say)

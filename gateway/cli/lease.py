@@ -30,12 +30,14 @@ POLL_S: Final = 0.05
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
-    parser.add_argument("--hold", action="store_true", help="acquire it, print its number, keep it until Ctrl-C")
+    parser.add_argument(
+        "--hold", action="store_true", help="acquire the lease, print its number, keep it until Ctrl-C"
+    )
     add_take_arguments(parser)
     parser.add_argument(
-        "--engage", action="store_true", help="engage the robot as well; it stands, until command.idle_s ends that"
+        "--engage", action="store_true", help="engage the robot too, at zero speed, for at most command.idle_s"
     )
-    parser.add_argument("--seconds", type=seconds, metavar="S", help="keep it for this time")
+    parser.add_argument("--seconds", type=seconds, metavar="S", help="time to keep the lease")
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 

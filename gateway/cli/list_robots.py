@@ -31,7 +31,7 @@ from schemas.zenoh_session import place
 EXAMPLE = """\
   cruiser list
   cruiser list 'cruiser-1*'
-  cruiser list --forget cruiser-3                 it is gone for good, and no longer lost
+  cruiser list --forget cruiser-3                 remove it from the list
   cruiser list --json --connect tcp/10.0.0.5:7447 | jq -r .robot"""
 
 log = logging.getLogger(__name__)
@@ -50,19 +50,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=keys.ALL,
         type=robot_names,
         metavar="ROBOT",
-        help="the robot, or several by '*', as 'cruiser-1*'; all of them if left out",
+        help="robot, or several, as in 'cruiser-1*' (default: all)",
     )
     parser.add_argument(
         "--timeout",
         type=seconds,
         default=3.0,
         metavar="S",
-        help="how long to wait for robots and their health (3)",
+        help="time to wait for robots and their health (default 3)",
     )
     parser.add_argument(
-        "--forget", type=robot_names, metavar="ROBOT", help="expect this robot no more, or several by '*'"
+        "--forget", type=robot_names, metavar="ROBOT", help="lost robot to remove from the list; '*' for several"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a robot, one a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per robot and line")
     add_zenoh_arguments(parser)
 
 
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         text = f"no Zenoh node answered within {arguments.timeout:g} s at {where}"
         raise CommandError(text, ExitCode.UNREACHABLE)
     if not reports and not search.is_complete:
-        text = f"the Zenoh node at {where} did not say within {arguments.timeout:g} s which robots are connected"
+        text = f"the Zenoh node at {where} did not list its robots within {arguments.timeout:g} s"
         raise CommandError(text, ExitCode.UNREACHABLE)
     shown = (line.plain for line in fleet.list_view(reports))
     lines = (msgspec.json.encode(one).decode() for one in reports) if arguments.json else shown
@@ -101,10 +101,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     lost = [report.robot for report in reports if report.state is None]
     if lost:
         more = f" and {len(lost) - NAMED_MAX} more" if len(lost) > NAMED_MAX else ""
-        cure = "look at it, it may be moving; where it is gone for good: 'cruiser list --forget ROBOT'"
+        cure = "look at it, it may be moving; if it was removed: 'cruiser list --forget ROBOT'"
         sys.stderr.write(f"no contact with {', '.join(lost[:NAMED_MAX])}{more}: {cure}\n")
     if not search.is_complete:
-        sys.stderr.write(f"there may be more: not everybody answered within {arguments.timeout:g} s at {where}\n")
+        sys.stderr.write(
+            f"there may be more robots: not every node answered within {arguments.timeout:g} s at {where}\n"
+        )
     return int(ExitCode.OK if search.is_complete and not lost else ExitCode.PARTIAL)
 
 
@@ -114,7 +116,7 @@ def check_role(config: str) -> None:
 
     if (role := role_of(Path(config))) in BLIND_ROLES:
         raise CommandError(
-            f"these are the settings of a {role} ({plain(config)}), whose certificate sees no robot: list with "
+            f"these are the settings of a {role} ({plain(config)}), whose certificate cannot see robots: use "
             "those of an operator or a viewer, 'cruiser list --config operator.toml'",
             ExitCode.USAGE,
         )
@@ -155,7 +157,7 @@ class Expected:
         try:
             write_whole(self._file, msgspec.json.encode(self._seen))
         except OSError as error:
-            log.info("the robots that were seen are not remembered: %s", error)
+            log.info("the list of known robots was not saved: %s", error)
 
 
 class Sightings:

@@ -33,17 +33,14 @@ if TYPE_CHECKING:
 
 GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     "try it": {
-        "demo": (
-            "gateway.cli.demo",
-            "run a chassis, a gateway, a recorder and two operators; with --desk a fleet",
-        ),
+        "demo": ("gateway.cli.demo", "run a virtual robot, a recorder and two operators; with --desk a fleet"),
         "sim": ("gateway.cli.sim", "run a virtual chassis on a CAN bus"),
         "fault": ("gateway.cli.sim_fault", "cause a fault in a running virtual chassis"),
     },
     "on a robot": {
         "setup": ("gateway.cli.setup", "set this computer up as a robot's gateway"),
         "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
-        "halt": ("gateway.cli.halt", "bring a robot to rest that no gateway commands any more"),
+        "halt": ("gateway.cli.halt", "stop a robot that no gateway commands"),
         "doctor": ("gateway.cli.doctor", "find what is wrong with a robot, and the cure"),
         "decode": ("gateway.cli.decode", "decode candump lines to JSON lines"),
     },
@@ -55,7 +52,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
         "stop": ("gateway.cli.stop", "stop a robot, several, or all: the remote stop"),
         "why": ("gateway.cli.why", "explain why a robot does not move"),
-        "reset": ("gateway.cli.reset", "clear what is latched"),
+        "reset": ("gateway.cli.reset", "clear a robot's latches, so that it can be engaged again"),
         "lease": ("gateway.cli.lease", "show, acquire, take or keep the right to command a robot"),
         "park": ("gateway.cli.verbs:PARK", "engage a robot and apply its parking brake"),
         "unpark": ("gateway.cli.verbs:UNPARK", "engage a robot and let drive commands release its parking brake"),
@@ -66,11 +63,11 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     "record and review": {
         "record": ("recorder.cli.record", "write MCAP logs"),
         "upload": ("recorder.cli.upload", "copy finished logs to an object store, incidents first"),
-        "review": ("recorder.cli.review", "turn logs into answers"),
+        "review": ("recorder.cli.review", "find, explain, check and export what is in logs"),
     },
     "run a fleet": {
-        "provision": ("gateway.cli.provision", "make keys, certificates and grants: who may do what"),
-        "router": ("gateway.cli.router", "run a Zenoh router, where robots and people meet, with access by role"),
+        "provision": ("gateway.cli.provision", "make keys, certificates and grants"),
+        "router": ("gateway.cli.router", "run a Zenoh router that grants access by role"),
         "metrics": ("gateway.cli.metrics", "serve a fleet's health to Prometheus"),
     },
 }
@@ -144,7 +141,7 @@ def _answer(words: list[str]) -> int:
 
         near = get_close_matches(words[0], COMMANDS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else "; 'cruiser --help' lists them"
-        sys.stderr.write(f"cruiser: there is no command {words[0]!r}{hint}\n")
+        sys.stderr.write(f"cruiser: unknown command {words[0]!r}{hint}\n")
         return 2
     return _run(words[0], words[1:])
 
@@ -153,12 +150,12 @@ def _help() -> str:
     lines = [
         "usage: cruiser COMMAND [...]",
         "",
-        "Puts drive-by-wire robots on Zenoh, safely, and turns logs into answers.",
+        "Connects drive-by-wire robots to Zenoh, safely; records and reviews their logs.",
     ]
     width = max(map(len, COMMANDS))
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:", *(f"  {name:{width}}  {about}" for name, (_, about) in commands.items())]
-    lines += ["", "'cruiser help COMMAND' explains a command and shows an example."]
+    lines += ["", "'cruiser help COMMAND' explains a command, with an example."]
     lines += ["exit codes: 0 ok, 1 findings or failure, 2 usage, 3 partial, 4 unreachable, 5 refused"]
     return "\n".join(lines)
 
@@ -180,12 +177,12 @@ def _run(name: str, words: list[str]) -> int:
         epilog=f"example:\n{command.EXAMPLE}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--config", metavar="FILE", help="a TOML file of settings (also CRUISER_CONFIG)")
+    parser.add_argument("--config", metavar="FILE", help="TOML file of settings (also CRUISER_CONFIG)")
     parser.add_argument(
         "--log-level",
         default="warning",
         choices=["debug", "info", "warning", "error"],
-        help="what goes to stderr",
+        help="lowest level of the log on stderr (default warning)",
     )
     command.add_arguments(parser)
     arguments = parser.parse_args(words)
@@ -200,8 +197,8 @@ def _run(name: str, words: list[str]) -> int:
         settings = load_settings(named, os.environ, flags)
         if file := unread_file(name, named, os.environ, settings):
             sys.stderr.write(
-                f"cruiser {name}: warning: open mode, since no settings file is named; {plain(file)} was found, "
-                f"and not read; with it: {plain(shlex.join(['cruiser', name, *words, '--config', file]))}, or "
+                f"cruiser {name}: warning: open mode, as no settings file was named; {plain(file)} exists and "
+                f"was not read; to use it: {plain(shlex.join(['cruiser', name, *words, '--config', file]))}, or "
                 "CRUISER_CONFIG\n"
             )
         stopped = _stop_on_signals()

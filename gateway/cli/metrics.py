@@ -32,9 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=address,
         default=LISTEN,
         metavar="ADDRESS:PORT",
-        help=f"where Prometheus asks ({LISTEN[0]}:{LISTEN[1]}: this machine alone); port 0 is a free one",
+        help=f"address for Prometheus (default {LISTEN[0]}:{LISTEN[1]}: this machine only); port 0: a free port",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     add_zenoh_arguments(parser)
 
 

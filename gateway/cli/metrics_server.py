@@ -53,7 +53,7 @@ class MetricsServer(Collector):
             address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
 
         if not ipaddress.ip_address(host).is_loopback:
-            log.warning("whoever reaches %s reads how the robots are", shown_address(host, port))
+            log.warning("any client that reaches %s can read the robots' health", shown_address(host, port))
         app = make_wsgi_app(registry)
         if ipaddress.ip_address(host).is_loopback:
             app = _for_this_machine(app)

@@ -22,13 +22,15 @@ from schemas.settings import Settings
 
 def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags for who commands, and where the robots are."""
-    parser.add_argument("--operator", type=operator_name, metavar="NAME", help="who commands (the login name)")
+    parser.add_argument(
+        "--operator", type=operator_name, metavar="NAME", help="operator's name (default: login name)"
+    )
     parser.add_argument(
         "--timeout",
         type=seconds,
         default=CONNECT_TIMEOUT_S,
         metavar="S",
-        help=f"how long to wait for the robot ({CONNECT_TIMEOUT_S:g})",
+        help=f"time to wait for the robot (default {CONNECT_TIMEOUT_S:g})",
     )
     add_zenoh_arguments(parser)
 
@@ -46,11 +48,11 @@ def add_take_arguments(parser: argparse.ArgumentParser) -> None:
         choices=list(Role),
         default=Role.OPERATOR,
         metavar="ROLE",
-        help=f"{', '.join(role.value for role in Role)} (operator); a higher or equal one may take the lease",
+        help=f"{', '.join(role.value for role in Role)} (default operator); a lower role cannot take the lease",
     )
-    parser.add_argument("--take", action="store_true", help="take the lease from its holder, if the robot stands")
+    parser.add_argument("--take", action="store_true", help="take the lease of another while the robot stands")
     parser.add_argument(
-        "--override", action="store_true", help="take it although the robot moves; it is stopped first"
+        "--override", action="store_true", help="take the lease of a moving robot, which is stopped first"
     )
 
 
@@ -96,7 +98,7 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
     come_to_rest(lease, robot)
     if latched := robot.state().state.latched:
         raise CommandError(
-            f"{robot.name} was stopped ({', '.join(one.value for one in latched)}): see 'cruiser why'"
+            f"{robot.name} was stopped ({', '.join(one.value for one in latched)}); see 'cruiser why {robot.name}'"
         )
 
 

@@ -77,28 +77,28 @@ _FOR_ALL: Final = {"robots"}
 
 
 def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
-    grant = parser.add_argument_group(
-        "grant", "what is not said is as in the last grant of the same key, or usual"
-    )
+    grant = parser.add_argument_group("grant", "defaults: the key's last grant, or the values in brackets")
     grant.add_argument(
         "--robots",
         action="append",
-        type=matching("[a-z0-9*-]{1,64}", "no pattern of robots: lower case, digits, '-' and '*'"),
+        type=matching("[a-z0-9*-]{1,64}", "not a pattern of robots: lower case, digits, '-' and '*'"),
         metavar="PATTERN",
-        help="such as 'depot-*'; may be repeated (all)",
+        help="robots of the grant, such as 'depot-*'; may be repeated (all)",
     )
-    grant.add_argument("--verbs", type=_verbs, metavar="LIST", help="with commas (all)")
+    grant.add_argument("--verbs", type=_verbs, metavar="LIST", help="verbs, separated by commas (all)")
     grant.add_argument(
         "--role",
         choices=[role.value for role in PERSONS],
         metavar="ROLE",
-        help="operator (the default), program or supervisor",
+        help="operator, program or supervisor (operator)",
     )
-    grant.add_argument("--override", action="store_true", help="may take the lease of a robot that moves")
-    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="no robot drives faster for this holder")
+    grant.add_argument("--override", action="store_true", help="right to take the lease of a moving robot")
+    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="speed limit for this holder (none)")
     lasts = grant.add_mutually_exclusive_group()
-    lasts.add_argument("--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="a person's life (12)")
-    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="all others' (90)")
+    lasts.add_argument(
+        "--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="life of a person's grant (12)"
+    )
+    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="life of other grants (90)")
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
@@ -106,7 +106,7 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise CommandError(f"{flags}: nothing of that is for a {request.role.value}", ExitCode.USAGE)
+        raise CommandError(f"{flags}: not for a {request.role.value}", ExitCode.USAGE)
     usual_s = PERSON_S if request.role in {EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER} else OTHERS_S
     usual = [] if request.role is EnrolmentRole.RECORDER else ROBOT_VERBS
     last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
@@ -129,8 +129,8 @@ def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, 
     if last is not None or is_limited or request.role is not EnrolmentRole.OPERATOR:
         return ""
     return (
-        "nothing is known of this key here: all robots, all verbs, no speed limit; --robots and --speed-limit "
-        "narrow it"
+        "this key had no grant here before: it gets all robots, all verbs and no speed limit; limit it with "
+        "--robots and --speed-limit"
     )
 
 
@@ -157,21 +157,19 @@ def _verbs(text: str) -> list[str]:
     names = ROBOT_VERBS if text == "all" else list(dict.fromkeys(text.split(",")))
     unknown = [name for name in names if name not in ROBOT_VERBS]
     if unknown:
-        raise argparse.ArgumentTypeError(
-            f"{unknown[0]!a} is no verb of a robot; there are {', '.join(ROBOT_VERBS)}"
-        )
+        raise argparse.ArgumentTypeError(f"{unknown[0]!a} is not a verb; the verbs are {', '.join(ROBOT_VERBS)}")
     return names
 
 
 def _speed(text: str) -> float:
-    return _number(text, _SPEED_MAX_MPS, f"no speed in m/s, above 0 and up to {_SPEED_MAX_MPS}")
+    return _number(text, _SPEED_MAX_MPS, f"not a speed above 0 and up to {_SPEED_MAX_MPS} m/s")
 
 
 def _times(unit_s: int) -> Callable[[str], float]:
     def life(text: str) -> float:
         unit = "hours" if unit_s == HOUR_S else "days"
         most = _LIFE_MAX_S // unit_s
-        return max(1, _number(text, most, f"no number of {unit}, above 0 and up to {most}") * unit_s)
+        return max(1, _number(text, most, f"not a number of {unit} above 0 and up to {most}") * unit_s)
 
     return life
 
@@ -222,8 +220,8 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
                 sys.stderr.write(f"no robot is connected at {place(settings.zenoh)}\n")
             if not settings.zenoh.config and all(one.code is ExitCode.UNREACHABLE for one in answers.values()):
                 sys.stderr.write(
-                    f"no Zenoh file was used: {plain(str(store.directory))} has none of a desk, an operator or a "
-                    "viewer; --config names the settings of one, such as viewer.toml\n"
+                    f"no Zenoh file was used: {plain(str(store.directory))} has none for a desk, an operator or a "
+                    "viewer; name settings with --config, such as viewer.toml\n"
                 )
             sys.stdout.flush()
             if arguments.every is None or stopped():
@@ -242,27 +240,24 @@ def _code(codes: list[ExitCode]) -> ExitCode:
 
 
 def _judge(
-    reply: Received | None,
-    question: bytes,
-    robot: str,
-    chain: list[Signed],
-    settings: Settings,
-    store: KeyStore,
+    reply: Received | None, question: bytes, robot: str, chain: list[Signed], settings: Settings, store: KeyStore
 ) -> _Answer:
     """Return the result of a statement at one robot, whose answer has to cover the question."""
     if reply is None:
-        return _Answer("does not answer", ExitCode.UNREACHABLE)
+        return _Answer("no reply", ExitCode.UNREACHABLE)
     try:
         said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
     except PAYLOAD_ERRORS as error:
-        return _Answer(f"its answer cannot be read: {error}", ExitCode.FAILURE)
+        return _Answer(f"its reply cannot be read: {error}", ExitCode.FAILURE)
     doubt = _doubt(reply, question, robot, chain, said, settings, store)
     if doubt:
-        return _Answer(f"{'yes' if said.ok else 'no'}, and the answer is not proven: {doubt}", ExitCode.FAILURE)
+        return _Answer(
+            f"{'accepted' if said.ok else 'refused'}, but the reply is not verified: {doubt}", ExitCode.FAILURE
+        )
     if said.ok:
-        return _Answer("taken over", ExitCode.OK)
+        return _Answer("accepted", ExitCode.OK)
     if said.reason is Reason.REPLAYED and isinstance(chain[0].statement, Revocations | Rotation):
-        return _Answer(f"has it, or a newer one ({said.detail})", ExitCode.OK)
+        return _Answer(f"already has this one or a newer one ({said.detail})", ExitCode.OK)
     return _Answer(f"refused: {said.detail}; {said.cure}", ExitCode.REFUSED)
 
 
@@ -277,7 +272,7 @@ def _doubt(
 ) -> str:
     """Return why the answer may be somebody else's; empty if the robot signed it."""
     if not store.has(AUTHORITY_FILE):
-        return f"{store.path(AUTHORITY_FILE)} is not there"
+        return f"{store.path(AUTHORITY_FILE)} is missing"
     trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust
     # A key of its own: nothing is signed with it.
     proof = OperatorProof(
@@ -302,22 +297,22 @@ def _reaching(settings: Settings, store: KeyStore) -> Settings:
 
 
 EXAMPLE: Final = """\
-  cruiser provision robot cruiser-1                         on the robot: keys, and a request
-  cruiser provision sign robot-cruiser-1.request            at the authority: a bundle
+  cruiser provision robot cruiser-1                         on the robot: make keys and a request
+  cruiser provision sign robot-cruiser-1.request            at the authority: make a bundle
   cruiser provision install robot-cruiser-1.bundle          on the robot
-  cruiser provision revoke ann                              at the authority: a statement
-  cruiser provision show revocations.statement --all        from where the robots are reached
-docs/authority.md begins a fleet, and says what to do about what was lost or stolen."""
+  cruiser provision revoke ann                              at the authority: make a statement
+  cruiser provision show revocations.statement --all        on a machine that reaches the robots
+docs/authority.md describes how to start a fleet, and what to do about lost or stolen keys."""
 
 TIMEOUT_S: Final = 3.0
 
 ABOUT: Final = {
-    EnrolmentRole.ROBOT: "a robot",
-    EnrolmentRole.OPERATOR: "a person, or a program, that commands robots",
-    EnrolmentRole.VIEWER: "somebody who sees robots, and may stop one",
-    EnrolmentRole.RECORDER: "a recorder",
-    EnrolmentRole.ROUTER: "where robots and people meet",
-    EnrolmentRole.DESK: "a control room's machine",
+    EnrolmentRole.ROBOT: "make keys and a request for a robot",
+    EnrolmentRole.OPERATOR: "make keys and a request for a person or program that commands robots",
+    EnrolmentRole.VIEWER: "make keys and a request for a person who sees robots and may stop one",
+    EnrolmentRole.RECORDER: "make keys and a request for a recorder",
+    EnrolmentRole.ROUTER: "make keys and a request for the fleet's router",
+    EnrolmentRole.DESK: "make keys and a request for a control room's machine",
 }
 
 
@@ -330,7 +325,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--directory",
             dest="authority.directory",
             metavar="DIR",
-            help="of keys, certificates and grants (~/.config/cruiser)",
+            help="directory of keys, certificates and grants (~/.config/cruiser)",
         )
         return action
 
@@ -343,26 +338,26 @@ Add = Callable[[str, str], argparse.ArgumentParser]
 
 
 def _add_output(action: argparse.ArgumentParser, what: str) -> None:
-    action.add_argument("-o", "--output", metavar="FILE", help=f"where the {what} goes")
+    action.add_argument("-o", "--output", metavar="FILE", help=f"file of the {what}")
     _add_replace(action)
 
 
 def _add_replace(action: argparse.ArgumentParser) -> None:
-    action.add_argument("--replace", action="store_true", help="write over what is there")
+    action.add_argument("--replace", action="store_true", help="overwrite existing files")
 
 
 def _add_makers(add: Add) -> None:
-    standby = add("standby", "the key that replaces a lost or stolen authority; made first, kept elsewhere")
+    standby = add("standby", "make the key that replaces a lost or stolen authority; store it elsewhere")
     _add_replace(standby)
     _add_passphrase(standby, makes_keys=True)
-    authority = add("authority", "the keys that everything else hangs on; keep them offline")
-    authority.add_argument("--standby", required=True, metavar="FILE", help=f"its {STANDBY_FILE}")
+    authority = add("authority", "make the keys that sign all certificates and grants; keep them offline")
+    authority.add_argument("--standby", required=True, metavar="FILE", help=f"{STANDBY_FILE} of the standby")
     authority.add_argument(
         "--router",
         action="append",
         required=True,
         metavar="ENDPOINT",
-        help="where robots and people find the router, tls/HOST:PORT; may be repeated",
+        help="endpoint of the fleet's router, tls/HOST:PORT; may be repeated",
     )
     authority.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
     _add_replace(authority)
@@ -371,59 +366,59 @@ def _add_makers(add: Add) -> None:
     for role, about in ABOUT.items():
         action = add(role.value, about)
         if role in _HOSTS:
-            action.add_argument("names", nargs="+", metavar="HOST", help="by which it is reached: name or address")
+            action.add_argument("names", nargs="+", metavar="HOST", help="its host name or address")
         else:
-            action.add_argument("names", nargs=1, metavar="NAME", help="under which it is known")
+            action.add_argument("names", nargs=1, metavar="NAME", help="name in the fleet")
         _add_output(action, "request")
-    renew = add("renew", "ask again with the keys that are here, before a certificate or grant ends")
+    renew = add("renew", "request a new certificate and grant for the keys that are here")
     renew.add_argument(
-        "role", choices=[role.value for role in EnrolmentRole], metavar="ROLE", help="who is renewed"
+        "role", choices=[role.value for role in EnrolmentRole], metavar="ROLE", help="role to renew"
     )
     _add_output(renew, "request")
 
 
 def _add_signers(add: Add) -> None:
-    sign = add("sign", "let somebody in, at the authority: a bundle answers the request")
-    sign.add_argument("request", metavar="REQUEST", help="the file")
-    sign.add_argument("--fingerprint", metavar="F", help="refuse a request of another one")
+    sign = add("sign", "sign a request, at the authority: makes a bundle")
+    sign.add_argument("request", metavar="REQUEST", help="file of the request")
+    sign.add_argument("--fingerprint", metavar="F", help="expected fingerprint of the request")
     add_grant_arguments(sign)
     _add_output(sign, "bundle")
     _add_passphrase(sign)
 
-    install_ = add("install", "take over a bundle, where the keys are that it is for")
-    install_.add_argument("bundle", metavar="BUNDLE", help="the file")
-    install_.add_argument("--fingerprint", metavar="F", help="refuse the bundle of another authority")
+    install_ = add("install", "install a bundle, on the machine that has its keys")
+    install_.add_argument("bundle", metavar="BUNDLE", help="file of the bundle")
+    install_.add_argument("--fingerprint", metavar="F", help="expected fingerprint of the authority")
     _add_replace(install_)
 
 
 def _add_statements(add: Add) -> None:
-    revoke = add("revoke", "end grants at once: a list of all that is revoked, for the robots")
-    revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holders, as in {ISSUED_FILE}")
+    revoke = add("revoke", "end grants at once: makes a list of all revocations, for the robots")
+    revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holder, as in {ISSUED_FILE}")
     revoke.add_argument(
         "--key",
         action="append",
         default=[],
         type=matching("[0-9a-f]{64}", "not 64 hexadecimal digits"),
         metavar="HEX",
-        help="of a holder",
+        help="key of a holder; may be repeated",
     )
-    revoke.add_argument("--epoch", action="store_true", help="end everybody's grants, also the robots' own")
+    revoke.add_argument("--epoch", action="store_true", help="end all grants, including the robots' own")
     _add_output(revoke, "statement")
     _add_passphrase(revoke)
     rotation = add("rotate", "replace a lost or stolen authority, at its standby")
-    rotation.add_argument("authority", metavar="FILE", help="authority.json of the new one")
-    rotation.add_argument("--fingerprint", metavar="F", help="refuse a file of other keys")
+    rotation.add_argument("authority", metavar="FILE", help="authority.json of the new authority")
+    rotation.add_argument("--fingerprint", metavar="F", help="expected fingerprint of its keys")
     _add_output(rotation, "statement")
     _add_passphrase(rotation)
 
-    show = add("show", "show robots a statement: revocations, a rotation, a grant")
-    show.add_argument("statement", metavar="FILE", help="a statement, or a bundle for the grant that is in it")
+    show = add("show", "send robots a statement: revocations, a rotation or a grant")
+    show.add_argument("statement", metavar="FILE", help="statement, or bundle that holds a grant")
     whom = show.add_mutually_exclusive_group(required=True)
-    whom.add_argument("--robot", action="append", type=robot_name, metavar="NAME", help="may be repeated")
-    whom.add_argument("--all", action="store_true", help="every robot that is connected")
-    show.add_argument("--every", type=seconds, metavar="S", help="again and again, until Ctrl-C")
+    whom.add_argument("--robot", action="append", type=robot_name, metavar="NAME", help="robot; may be repeated")
+    whom.add_argument("--all", action="store_true", help="all connected robots")
+    show.add_argument("--every", type=seconds, metavar="S", help="period of repeats, until Ctrl-C")
     show.add_argument(
-        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"for an answer ({TIMEOUT_S:g})"
+        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"wait for a reply ({TIMEOUT_S:g})"
     )
     add_zenoh_arguments(show)
 
@@ -455,8 +450,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Stopped) -> 
 
 def _standby(arguments: argparse.Namespace, store: KeyStore) -> None:
     public = make_standby(store, replace=arguments.replace)
-    _say(f"standby {key_fingerprint(public)}: {store.path(STANDBY_FILE)} is for 'cruiser provision authority'")
-    _say("keep the rest where neither the authority nor its copies are")
+    _say(f"standby {key_fingerprint(public)}: give {store.path(STANDBY_FILE)} to 'cruiser provision authority'")
+    _say("store the other files away from the authority and its copies")
 
 
 def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Settings) -> None:
@@ -466,17 +461,21 @@ def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Setting
         .strip()
     )
     if re.fullmatch("[0-9a-f]{64}", text) is None:
-        raise CommandError(f"{plain(arguments.standby)} is no {STANDBY_FILE} of a standby key", ExitCode.USAGE)
+        raise CommandError(
+            f"{plain(arguments.standby)} is not the {STANDBY_FILE} of a standby key", ExitCode.USAGE
+        )
     try:
         fleet = msgspec.convert({"root": settings.robot.root, "routers": arguments.router}, FleetPlace)
     except msgspec.ValidationError as error:
         shown = plain(", ".join(arguments.router))
-        raise CommandError(f"--router {shown}: an endpoint is tls/HOST:PORT ({error})", ExitCode.USAGE) from error
+        raise CommandError(
+            f"--router {shown}: an endpoint has the form tls/HOST:PORT ({error})", ExitCode.USAGE
+        ) from error
     authority = make_authority(store, text, fleet, _now_s(), replace=arguments.replace)
     _say(f"authority {Issuer.open(store).fingerprint} in {store.directory}")
-    _say("its fingerprint is the first thing to compare wherever a bundle is installed")
-    _say(f"keys {keys_fingerprint(authority)}: of authority.json alone, to compare at 'cruiser provision rotate'")
-    _say(f"standby {key_fingerprint(authority.standby)}: to compare with what 'cruiser provision standby' showed")
+    _say("compare this fingerprint wherever a bundle is installed")
+    _say(f"keys {keys_fingerprint(authority)}: compare at 'cruiser provision rotate'")
+    _say(f"standby {key_fingerprint(authority.standby)}: compare with the output of 'cruiser provision standby'")
 
 
 class _Output:
@@ -487,9 +486,9 @@ class _Output:
         self._replace = arguments.replace
         shown = plain(str(self.path))
         if os.path.lexists(self.path) and not self._replace:
-            raise CommandError(f"{shown} is there already; --replace writes over", ExitCode.USAGE)
+            raise CommandError(f"{shown} is there already; --replace overwrites it", ExitCode.USAGE)
         if not os.access(self.path.parent, os.W_OK | os.X_OK):
-            raise CommandError(f"{shown} cannot be written: no such directory, or not yours", ExitCode.USAGE)
+            raise CommandError(f"{shown} cannot be written: no such directory, or no permission", ExitCode.USAGE)
 
     def write(self, text: str) -> None:
         write_file(self.path, text, FOR_ALL, replace=self._replace)
@@ -503,7 +502,7 @@ def _request(arguments: argparse.Namespace, store: KeyStore) -> None:
     request = make_keys(store, role, names, replace=arguments.replace) if is_new else ask_again(store, role, names)
     output.write(msgspec.json.format(msgspec.json.encode(request), indent=1).decode() + "\n")
     _say(f"{output.path}: {role.value} {', '.join(names)}, fingerprint {request_fingerprint(request)}")
-    _say(f"'cruiser provision sign {output.path.name}' at the authority answers it")
+    _say(f"next, at the authority: 'cruiser provision sign {output.path.name}'")
 
 
 def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
@@ -514,15 +513,13 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
     fingerprint = request_fingerprint(request)
     if arguments.fingerprint not in (None, fingerprint):
         raise CommandError(
-            f"{plain(str(file))} has the fingerprint {fingerprint}: it is another request", ExitCode.USAGE
+            f"{plain(str(file))} has the fingerprint {fingerprint}: another request than expected", ExitCode.USAGE
         )
     issuer = Issuer.open(store)
     with naming(file):
         known = issuer.others(request)
     if known and not arguments.replace:
-        raise CommandError(
-            f"{plain(str(file))}: {known}. If that is meant, --replace lets this key in besides", ExitCode.USAGE
-        )
+        raise CommandError(f"{plain(str(file))}: {known}. --replace signs this key as well", ExitCode.USAGE)
     last = issuer.last_grant(request)
     wanted = wanted_grant(arguments, request, last)
     output = _Output(arguments, file.with_suffix(".bundle"))
@@ -533,10 +530,10 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
         raise CommandError(f"{plain(str(file))}: {error}", error.code) from error
     output.write(bundle.decode())
     _say(f"{output.path}: {request.role.value} {', '.join(request.names)}, fingerprint {fingerprint}")
-    _say(f"  of authority {issuer.fingerprint}")
+    _say(f"  from authority {issuer.fingerprint}")
     if grant is not None:
         _say(f"  {grant_line(grant)}")
-    warnings = (known and f"{known}; this one is let in besides", unlimited_warning(arguments, request, last))
+    warnings = (known and f"{known}; this key was signed as well", unlimited_warning(arguments, request, last))
     sys.stderr.writelines(f"{warning}\n" for warning in warnings if warning)
 
 
@@ -546,21 +543,22 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
         bundle = read_bundle(text, _now_s())
     if arguments.fingerprint not in (None, bundle.fingerprint):
         raise CommandError(
-            f"{plain(arguments.bundle)} is of the authority {bundle.fingerprint}, not of that one", ExitCode.USAGE
+            f"{plain(arguments.bundle)} is from the authority {bundle.fingerprint}, not from the one given",
+            ExitCode.USAGE,
         )
     try:
         done = install(store, bundle, replace=arguments.replace, is_compared=arguments.fingerprint is not None)
     except ValueError as error:
         raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
     _say(f"{store.directory}: {', '.join(done.files)}")
-    _say(f"{bundle.role.value} {plain(bundle.name)} of authority {bundle.fingerprint}")
+    _say(f"{bundle.role.value} {plain(bundle.name)}, from authority {bundle.fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
     _say(f"certificate until {in_utc(done.certificate_until_s)}; {after}")
 
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
     if not (arguments.names or arguments.key or arguments.epoch):
-        raise CommandError("what is to be revoked? NAME, --key or --epoch says it", ExitCode.USAGE)
+        raise CommandError("nothing to revoke: give NAME, --key or --epoch", ExitCode.USAGE)
     issuer = Issuer.open(store)
     issued, keys = issuer.issued(), list(arguments.key)
     revoked: list[str] = []
@@ -568,8 +566,7 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
         found = {one.holder.hex(): one.role for one in issued if one.name == name and one.key}
         if not found:
             raise CommandError(
-                f"nobody called {name!a} was granted anything here: {store.path(ISSUED_FILE)} has all names",
-                ExitCode.USAGE,
+                f"no grant for {name!a} was made here: see {store.path(ISSUED_FILE)} for all names", ExitCode.USAGE
             )
         keys += sorted(found)
         revoked += [f"{found[key]} {name}, key {key_fingerprint(key)}" for key in sorted(found)]
@@ -585,27 +582,30 @@ def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
         authority = msgspec.json.decode(read_input(Path(arguments.authority)), type=AuthorityKeys)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         shown = plain(arguments.authority)
-        raise CommandError(f"{shown} is no authority.json of a new authority: {error}", ExitCode.USAGE) from error
+        raise CommandError(
+            f"{shown} is not the authority.json of a new authority: {error}", ExitCode.USAGE
+        ) from error
     fingerprint = keys_fingerprint(authority)
     if arguments.fingerprint not in (None, fingerprint):
         raise CommandError(
-            f"{plain(arguments.authority)} has the keys {fingerprint}: it is of another authority", ExitCode.USAGE
+            f"{plain(arguments.authority)} has the keys {fingerprint}: another authority than expected",
+            ExitCode.USAGE,
         )
     output = _Output(arguments, Path("rotation.statement"))
     signed = rotate(store, authority, _now_s())
-    _say(f"keys {fingerprint}: compare with what 'cruiser provision authority' showed before a robot sees this")
+    _say(f"keys {fingerprint}: compare with 'cruiser provision authority' before you send this to a robot")
     _write_statement(output, signed)
 
 
 def _write_statement(output: _Output, signed: Signed) -> None:
     output.write(signed.text())
-    _say(f"{output.path}: 'cruiser provision show {output.path.name} --all' shows it to the robots")
+    _say(f"{output.path}: send it to the robots with 'cruiser provision show {output.path.name} --all'")
 
 
 def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False) -> None:
-    parser.add_argument("--passphrase-file", metavar="FILE", help="its first line; else the terminal is asked")
+    parser.add_argument("--passphrase-file", metavar="FILE", help="passphrase in its first line (default: ask)")
     if makes_keys:
-        parser.add_argument("--no-passphrase", action="store_true", help="the keys have none")
+        parser.add_argument("--no-passphrase", action="store_true", help="keys without a passphrase")
 
 
 _HOSTS: Final = {EnrolmentRole.ROUTER, EnrolmentRole.DESK}

@@ -17,23 +17,26 @@ from schemas.settings import Settings
 
 EXAMPLE = """\
   cruiser reset cruiser-1
-  cruiser reset cruiser-1 --of bob                 bob has stopped it, and knows that it is reset
+  cruiser reset cruiser-1 --of bob                 clear bob's remote stop, after asking him
   cruiser reset cruiser-1 --lease 123456789        while another command of the same operator holds the lease"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
-        "The robot must stand, and the cause must be gone. Nothing resumes by itself: it must be engaged again.\n"
-        "A stop that is under way is waited for. Without --lease the lease is acquired, if nobody holds it, and\n"
-        "given back."
+        "The robot must stand, and the cause must be gone. Waits for the end of a stop that is under way.\n"
+        "Without --lease, acquires the lease if it is free, and releases it. Then engage the robot again."
     )
     add_robot_arguments(parser)
-    parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
     parser.add_argument(
-        "--of", default="", metavar="NAME", help="whose stop is cleared, where it is somebody else's"
+        "--lease", type=lease_number, metavar="N", help="number of a lease held by the same operator"
     )
-    parser.add_argument("--no-wait", dest="wait", action="store_false", help="ask at once, also during a stop")
+    parser.add_argument(
+        "--of", default="", metavar="NAME", help="operator whose remote stop is cleared, if it is not yours"
+    )
+    parser.add_argument(
+        "--no-wait", dest="wait", action="store_false", help="no wait for the end of a stop that is under way"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
 
 

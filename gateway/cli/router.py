@@ -32,18 +32,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--zenoh-config",
         dest="zenoh.config",
         metavar="FILE",
-        help=f"its Zenoh file ({FILE} of the directory, as 'cruiser provision' made it)",
+        help=f"Zenoh file (default: {FILE} in the directory, made by 'cruiser provision')",
     )
     parser.add_argument(
         "--directory",
         dest="authority.directory",
         metavar="DIR",
-        help="of keys and certificates (~/.config/cruiser)",
+        help="directory of keys and certificates (default ~/.config/cruiser)",
     )
     parser.add_argument(
-        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="instead of the file's"
+        "--listen", dest="zenoh.listen", metavar="ENDPOINT", action="append", help="endpoint instead of the file's"
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:

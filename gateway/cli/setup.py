@@ -33,12 +33,7 @@ from gateway.host.looks import (
     run_program,
 )
 from gateway.provisioning.issuer import install, unknown_of
-from gateway.provisioning.key_files import (
-    KeyStore,
-    expires_s,
-    read_certificates,
-    replace_whole,
-)
+from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates, replace_whole
 from schemas.arguments import robot_name
 from schemas.authority.key_files import find
 from schemas.command_line import CommandError, ExitCode, plain
@@ -59,11 +54,7 @@ BUDGET_SHARE: Final = 0.7
 QUEUE_FRAMES: Final = 10
 RESTART_MS: Final = 100
 
-SERVICES: Final = {
-    "gateway": "robot",
-    "recorder": "recorder",
-    "router": "router",
-}
+SERVICES: Final = {"gateway": "robot", "recorder": "recorder", "router": "router"}
 """Our services, each with the role of its certificate; its keys are in a directory of its name."""
 
 
@@ -215,7 +206,7 @@ def start_services(answers: Answers) -> list[list[str]]:
 
 
 EXAMPLE: Final = """\
-  sudo cruiser setup                                        asks; each default is what was found
+  sudo cruiser setup                                        asks, with what was found as default
   sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F"""
 
 READY_S: Final = 60.0  # so long the services have to be well, after which what is wrong is said
@@ -230,35 +221,38 @@ NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Asks what it must; then writes settings, installs bundles of the authority, and starts the services, "
-        "unless somebody drives the robot. It prints each step, and ends with what 'cruiser doctor' says. It "
-        "sends no command."
+        "Asks what it needs, writes the settings, installs the authority's bundles and starts the services, "
+        "unless the robot is being driven. Prints each step, and ends with 'cruiser doctor'. Sends no command."
     )
-    parser.add_argument("--defaults", action="store_true", help="ask nothing: what is not given is what was found")
-    parser.add_argument("--name", type=robot_name, metavar="NAME", help="the robot's name")
-    parser.add_argument("--interface", metavar="NAME", help="python-can interface (socketcan)")
-    parser.add_argument("--channel", metavar="CHANNEL", help="the interface's channel (can0)")
-    parser.add_argument("--bitrate", type=_bitrate, metavar="BIT/S", help=f"of the bus ({USUAL_BITRATE})")
     parser.add_argument(
-        "--router", action="append", metavar="ENDPOINT", help="a router without certificates; may be repeated"
+        "--defaults", action="store_true", help="no questions: use what was found for all that is not given"
+    )
+    parser.add_argument("--name", type=robot_name, metavar="NAME", help="the robot's name")
+    parser.add_argument("--interface", metavar="NAME", help="python-can interface (default socketcan)")
+    parser.add_argument("--channel", metavar="CHANNEL", help="channel of the interface (default can0)")
+    parser.add_argument("--bitrate", type=_bitrate, metavar="BIT/S", help=f"bit rate (default {USUAL_BITRATE})")
+    parser.add_argument(
+        "--router", action="append", metavar="ENDPOINT", help="router without certificates; may be repeated"
     )
     parser.add_argument(
         "--bundle",
         action="append",
         metavar="FILE",
-        help="what 'cruiser provision sign' made for the robot, its recorder or its router; may be repeated",
+        help="bundle from 'cruiser provision sign' for the robot, its recorder or its router; may be repeated",
     )
-    parser.add_argument("--fingerprint", metavar="F", help="of the authority of the bundles; else it is asked for")
-    parser.add_argument("--replace", action="store_true", help="write over certificates that are installed")
+    parser.add_argument(
+        "--fingerprint", metavar="F", help="fingerprint of the bundles' authority; asked for if left out"
+    )
+    parser.add_argument("--replace", action="store_true", help="overwrite installed certificates")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Set the robot up. The exit code is that of the examination at the end."""
     del settings  # Those of the file that is to be written count, not those of who asks.
     if arguments.config is not None:
-        raise CommandError(f"the settings go to {CONFIGURATION}, and --config names no other", ExitCode.USAGE)
+        raise CommandError(f"setup writes {CONFIGURATION}; --config is not supported", ExitCode.USAGE)
     if os.geteuid() != 0:
-        raise CommandError("this writes files of the system: run it as root", ExitCode.USAGE)
+        raise CommandError("setup writes system files: run it as root", ExitCode.USAGE)
     return int(set_up(arguments, Machine(), stopped))
 
 
@@ -294,22 +288,22 @@ class Machine:
         try:
             before = path.read_text("utf-8") if path.exists() else None
             if before == text:
-                say(f"{name}: is as it should be")
+                say(f"{name}: unchanged")
                 return
             kept = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if before is not None else ""
-            say(f"writes {name}{f', and keeps {kept}' if kept else ''}")
+            say(f"writing {name}{f', old file saved as {kept}' if kept else ''}")
             path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
             if before is not None:
                 replace_whole(path.with_name(kept), before, 0o644)
             replace_whole(path, text, 0o644)
         except (OSError, UnicodeDecodeError) as error:
-            why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "it is no text"
+            why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "it is not a text file"
             raise CommandError(f"{name} cannot be written: {why}") from error
 
     def run(self, programs: Iterable[Sequence[str]]) -> None:
         """Run programs. What keeps a service from starting is what doctor finds afterwards."""
         for words in programs:
-            say(f"runs: {' '.join(words)}")
+            say(f"running: {' '.join(words)}")
             if why_not := self._program(words):
                 say(f"'{' '.join(words)}' failed: {why_not}")
 
@@ -326,12 +320,12 @@ def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[]
     tables = tomllib.loads(file.read_text("utf-8-sig")) if file.exists() else {}
     machine.write(CONFIGURATION, configuration(answers, tables))
     if not machine.path("/run/systemd/system").is_dir():
-        say("there is no systemd here: start the services by hand, 'cruiser gateway' and 'cruiser record' first")
+        say("no systemd on this machine: start 'cruiser gateway' and 'cruiser record' yourself")
         return ExitCode.OK
     for name, text in system_files(answers).items():
         machine.write(name, text)
     machine.run(start_services(answers))
-    say("waits until the gateway is ready")
+    say("waiting for the gateway")
     settings, end_s = load_settings(str(file), os.environ, {}), time.monotonic() + READY_S
     while True:
         facts = doctor.look(settings, 3.0, stopped)
@@ -352,7 +346,7 @@ def _answers(
     robot = next((one for one in bundles if one.role is EnrolmentRole.ROBOT), None)
     name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.name, robot_name)
     if arguments.name not in {None, name}:
-        raise CommandError(f"the bundle is for {plain(name)}, not for {arguments.name}", ExitCode.USAGE)
+        raise CommandError(f"the bundle is for {plain(name)}, not {arguments.name}", ExitCode.USAGE)
     interface = arguments.interface or before.can.interface
     channel, bitrate = before.can.channel, 0
     found = can_interfaces(machine.path("/sys/class/net"))
@@ -368,7 +362,7 @@ def _answers(
     routers = before.zenoh.connect
     if "gateway" not in keys:
         given = ",".join(arguments.router) if arguments.router else None
-        router = ask("routers, with commas (empty: none, this machine alone)", ",".join(routers), given)
+        router = ask("routers, separated by commas (empty: only this machine)", ",".join(routers), given)
         routers = [one for one in router.split(",") if one]
     logs = machine.path(LOGS)
     disk = look_at_disk(next((one for one in (logs, *logs.parents) if one.is_dir()), logs))
@@ -387,7 +381,7 @@ def _answers(
 
 def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
     if not sys.stdin.isatty():
-        raise CommandError("there is no terminal to ask: --defaults asks nothing", ExitCode.USAGE)
+        raise CommandError("no terminal for questions: use --defaults", ExitCode.USAGE)
     while True:
         try:
             answer = input(prompt).strip() or default
@@ -402,7 +396,7 @@ def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
 
 def _bitrate(text: str) -> str:
     if not text.isascii() or not text.isdigit() or not 0 < int(text) <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"{text!a} is no bit rate: 1 to 1000000 bit/s")
+        raise argparse.ArgumentTypeError(f"{text!a} is not a bit rate from 1 to 1000000 bit/s")
     return text
 
 
@@ -434,7 +428,7 @@ def _refuse_where_driven(
         raise CommandError(f"{found.text} -> {found.cure}", ExitCode.REFUSED)
     speed_mps = facts.state.speed_mps if facts.state else None
     if speed_mps is not None and abs(speed_mps) > STANDSTILL_MPS:
-        raise CommandError(f"the robot moves at {speed_mps:+.2f} m/s: nothing is changed", ExitCode.REFUSED)
+        raise CommandError(f"the robot moves at {speed_mps:+.2f} m/s: nothing was changed", ExitCode.REFUSED)
 
 
 # Keys and certificates.
@@ -454,12 +448,12 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
             raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
         if ended_s > 0:
             raise CommandError(
-                f"{name}: its certificate ended {ended_s / 86_400:.1f} days ago -> 'cruiser provision renew "
-                f"{bundle.role.value}' asks for another",
+                f"{name}: its certificate ended {ended_s / 86_400:.1f} days ago -> request another with "
+                f"'cruiser provision renew {bundle.role.value}'",
                 ExitCode.USAGE,
             )
         if bundle.role not in SERVICE_OF:
-            raise CommandError(f"{name} is for a {bundle.role.value}, and for no service here")
+            raise CommandError(f"{name} is for a {bundle.role.value}: no service here uses it")
         bundles[file] = bundle
     return bundles
 
@@ -470,17 +464,18 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
     for file, bundle in bundles.items():
         if arguments.fingerprint not in {None, bundle.fingerprint}:
             raise CommandError(
-                f"{plain(str(file))} is of the authority {bundle.fingerprint}, not of that one", ExitCode.USAGE
+                f"{plain(str(file))} is from the authority {bundle.fingerprint}, not from the one given",
+                ExitCode.USAGE,
             )
         store = KeyStore(machine.path(f"{KEYS}/{SERVICE_OF[bundle.role]}"))
         if arguments.fingerprint is None and unknown_of(store, bundle):
             fresh.append(bundle.fingerprint)
     for fingerprint in dict.fromkeys(fresh):
-        showed = f"'provision authority' or 'sign' showed {fingerprint} there"
+        showed = f"'cruiser provision authority' or 'sign' showed {fingerprint}"
         if arguments.defaults:
-            raise CommandError(f"--fingerprint takes the authority over, if {showed}", ExitCode.USAGE)
-        if _ask(f"is it so that {showed}? yes or no [no]: ", "no", str) != "yes":
-            raise CommandError("nothing is installed: it is the bundle of another authority", ExitCode.USAGE)
+            raise CommandError(f"unknown authority: confirm it with --fingerprint, if {showed}", ExitCode.USAGE)
+        if _ask(f"unknown authority. Is it true that {showed}? yes or no [no]: ", "no", str) != "yes":
+            raise CommandError("not installed: the bundle is from another authority", ExitCode.USAGE)
 
 
 def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> None:
@@ -498,14 +493,14 @@ def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> 
     with owning(directory):
         store, certificate = KeyStore(directory), f"{bundle.role.value}-tls.pem"
         if store.has(certificate) and store.read(certificate, "").decode(errors="replace") == bundle.certificate:
-            say(f"{name}: is installed")
+            say(f"{name}: already installed")
             return
-        say(f"installs {name} in {directory}")
+        say(f"installing {name} in {directory}")
         try:
             done = install(store, bundle, replace=replace, is_compared=True)
         except ValueError as error:
             raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
-    say(f"    {', '.join(done.files)}: of authority {bundle.fingerprint}")
+    say(f"    {', '.join(done.files)}, from authority {bundle.fingerprint}")
 
 
 def say(line: str) -> None:

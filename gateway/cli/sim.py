@@ -153,7 +153,7 @@ def _time_of_life(clock: SimClock, chassis: VirtualChassis, summary: SimSummary)
     if late_ns <= _STALL_NS:
         return now_ns
     summary.stalled_ns += late_ns
-    _logger.warning("the process was stopped for %.1f s; the chassis goes on where it was", late_ns / _NS_PER_S)
+    _logger.warning("the process was stopped for %.1f s; the chassis continues from there", late_ns / _NS_PER_S)
     return now_ns - late_ns
 
 
@@ -177,40 +177,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen",
         dest="sim.listen",
         metavar="HOST:PORT",
-        help="serve the bus by the socketcand protocol here; port 0 takes a free one (default 127.0.0.1:29536)",
+        help="address of the socketcand server; port 0: a free port (default 127.0.0.1:29536)",
     )
     parser.add_argument("--variant", dest="sim.variant", choices=["coarse", "fine"], help="firmware variant")
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="TEXT", help="cause a fault; may be given repeatedly"
+        "--fault", action="append", default=[], metavar="TEXT", help="fault to cause; may be repeated"
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     parser.add_argument(
         "--rate-multiplier",
         type=_rate_multiplier,
         default=1.0,
         metavar="N",
-        help="send the feedback N times as often as the DBC says, to load a bus: 11.9 gives 7,500 frames/s",
+        help="factor on the feedback's rate, to load a bus: 11.9 gives 7,500 frames/s",
     )
     parser.add_argument(
-        "--slope", type=_slope, default=0.0, metavar="DEG", help="stand on a slope, nose up positive (default 0)"
+        "--slope", type=_slope, default=0.0, metavar="DEG", help="slope, nose up positive (default 0)"
     )
     parser.add_argument(
         "--stop-mode",
         choices=[mode.value for mode in StopMode],
         default=NOMINAL.stop_mode.value,
-        help="what the chassis does in mode stop, of which the manual says nothing (default brakes)",
+        help="behaviour in mode stop, which the manual does not define (default brakes)",
     )
     parser.add_argument(
-        "--interface", dest="can.interface", metavar="NAME", help="be on this python-can bus instead of listening"
+        "--interface", dest="can.interface", metavar="NAME", help="python-can interface to use instead of a server"
     )
-    parser.add_argument("--channel", dest="can.channel", metavar="NAME", help="the channel of --interface")
+    parser.add_argument("--channel", dest="can.channel", metavar="NAME", help="channel of --interface")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     flags = vars(arguments)
     attached = flags.get("can.interface") is not None
     if attached and flags.get("sim.listen") is not None:
-        raise CommandError("--listen and --interface exclude each other", ExitCode.USAGE)
+        raise CommandError("--listen and --interface cannot be combined", ExitCode.USAGE)
     if not attached and flags.get("can.channel") is not None:
         raise CommandError("--channel needs --interface", ExitCode.USAGE)
     faults = [_scheduled(text) for text in arguments.fault]
@@ -255,7 +255,7 @@ def _bus(settings: CanSettings) -> Iterator[tuple[SimBus, str]]:
         finally:
             bus.close()
     except BusLost as error:
-        raise CommandError(f"no bus: {error}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"bus unavailable: {error}", ExitCode.UNREACHABLE) from error
 
 
 def _scheduled(text: str) -> FaultLine:
@@ -276,7 +276,7 @@ def _rate_multiplier(text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number") from error
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from error
     if not MIN_RATE_MULTIPLIER <= value <= MAX_RATE_MULTIPLIER:
         raise argparse.ArgumentTypeError(f"{text} is not from {MIN_RATE_MULTIPLIER:g} to {MAX_RATE_MULTIPLIER:g}")
     return value

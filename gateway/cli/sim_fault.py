@@ -26,7 +26,7 @@ _MAX_ANSWER_BYTES: Final = 1024
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = f"{parser.description or ''}\n\n{GRAMMAR}"
     parser.add_argument(
-        "--sim", dest="sim.listen", metavar="HOST:PORT", help="where the chassis is (default 127.0.0.1:29536)"
+        "--sim", dest="sim.listen", metavar="HOST:PORT", help="address of the chassis (default 127.0.0.1:29536)"
     )
     # The rest of the line, so that a negative number is no flag.
     parser.add_argument("words", nargs=argparse.REMAINDER, metavar="WORDS", help="the fault")
@@ -51,12 +51,12 @@ def cause(address: str, text: str) -> None:
         why = getattr(error, "strerror", None) or str(error)
         raise CommandError(f"no virtual chassis at {address}: {why}", ExitCode.UNREACHABLE) from error
     if answer != OK:
-        raise CommandError(f"the chassis answers {answer.decode('ascii', errors='replace')!r}", ExitCode.USAGE)
+        raise CommandError(f"the chassis replied {answer.decode('ascii', errors='replace')!r}", ExitCode.USAGE)
 
 
 def _ask(connection: socket.socket, text: str) -> bytes:
     if _message(connection) != HI:
-        raise OSError("it does not speak the socketcand protocol")
+        raise OSError("not a socketcand server")
     connection.sendall(f"< fault {text} >".encode())
     return _message(connection)
 
@@ -68,5 +68,5 @@ def _message(connection: socket.socket) -> bytes:
         received = connection.recv(_MAX_ANSWER_BYTES)
         data += received
         if not received or len(data) > _MAX_ANSWER_BYTES:
-            raise OSError("it ends the conversation")
+            raise OSError("the server closed the connection")
     return data

@@ -37,15 +37,15 @@ NAMED: Final = ("stopped", "refused", "unconfirmed", "silent", "unverified", "un
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
-        "It wants no lease, and is latched until 'cruiser reset'. It is said again and again until it was\n"
-        "answered, and the robot is seen to stand, which is printed at once. Then the end of its stop sequence\n"
-        "is waited for: nothing can be reset before. It is no emergency stop: that is the button on the robot."
+        "Needs no lease, and is latched until 'cruiser reset'. Repeats the stop until the robot has replied and\n"
+        "its feedback shows standstill, then waits for the end of the stop sequence: no reset works before.\n"
+        "Not an emergency stop: that is the button on the robot."
     )
-    about = "the robot; several of them, or of them by '*', as 'cruiser-1*'"
+    about = "robots; '*' stands for any characters, as in 'cruiser-1*'"
     parser.add_argument("robots", nargs="*", type=robot_names, metavar="ROBOT", help=about)
-    parser.add_argument("--all", action="store_true", help="every robot under the root")
+    parser.add_argument("--all", action="store_true", help="all robots under the root")
     parser.add_argument(
-        "--no-wait", dest="wait", action="store_false", help="do not wait for the end of the stop sequences"
+        "--no-wait", dest="wait", action="store_false", help="no wait for the end of the stop sequences"
     )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     add_operator_arguments(parser)
@@ -66,29 +66,29 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if arguments.json:
         sys.stdout.write(f"{msgspec.json.encode(_together(reports)).decode()}\n")
         sys.stdout.flush()
-    waited = "before it was ended" if stopped() else f"within {arguments.timeout:g} s at {place(settings.zenoh)}"
+    waited = "before Ctrl-C" if stopped() else f"within {arguments.timeout:g} s at {place(settings.zenoh)}"
     return int(_code(_together(reports), robots, settings, waited))
 
 
 def _tell(report: StopReport, *, as_json: bool) -> None:
     """Print what is known of robots when it is known. JSON is printed at the end."""
     if not as_json:
-        sys.stdout.write("".join(f"{name}: stops, latched until a reset\n" for name in report.stopped))
+        sys.stdout.write("".join(f"{name}: stopped, latched until a reset\n" for name in report.stopped))
         sys.stdout.flush()
     for name, why in report.refused.items():
         sys.stderr.write(f"{name}: NOT STOPPED: {plain(why)}. {BUTTON}\n")
     for name, why in report.unconfirmed.items():
-        sys.stderr.write(f"{name}: NOT SEEN TO STOP: {plain(why)}. {BUTTON}\n")
+        sys.stderr.write(f"{name}: NOT CONFIRMED STOPPED: {plain(why)}. {BUTTON}\n")
     for name, unmet in report.unverified.items():
         cure = f". Cure: {cure_of(unmet.cure, name)}" if unmet.cure else ""
-        sys.stderr.write(f"{name}: ITS ANSWER CANNOT BE VERIFIED: {plain(f'{unmet.text}{cure}')}. {BUTTON}\n")
+        sys.stderr.write(f"{name}: REPLY NOT VERIFIED: {plain(f'{unmet.text}{cure}')}. {BUTTON}\n")
     for name in report.silent:
-        sent = "it was sent all the same" if report.linked else "it could NOT BE SENT: there is no link"
+        sent = "the stop was sent" if report.linked else "the stop was NOT SENT: no link"
         if not report.reached_all:
             sent = f"a viewer's certificate stops one robot at a time: 'cruiser stop {name}'"
-        sys.stderr.write(f"{name}: NO ANSWER; {sent}. {BUTTON}\n")
+        sys.stderr.write(f"{name}: NO REPLY; {sent}. {BUTTON}\n")
     if report.linked and not report.counted:
-        sys.stderr.write("there may be more robots: who is connected was not said in time\n")
+        sys.stderr.write("there may be more robots: the list of connected robots did not arrive in time\n")
 
 
 def _together(reports: list[StopReport]) -> StopReport:
@@ -118,7 +118,7 @@ def _stop(
 
     def tell(report: StopReport) -> None:
         if robot == keys.ALL and not report.linked:
-            sys.stderr.write(f"{who}: {NOTHING_SENT}: there is no link. {button}\n")
+            sys.stderr.write(f"{who}: {NOTHING_SENT}: no link. {button}\n")
         if "*" in robot and robot != keys.ALL and not any(getattr(report, field) for field in NAMED):
             # A pattern that nobody answers to is as silent as a name.
             silent.append(robot)
@@ -126,29 +126,23 @@ def _stop(
 
     try:
         report = remote_stop.stop_from_here(
-            settings,
-            robot,
-            arguments.operator or "",
-            arguments.timeout,
-            stopped,
-            wait=arguments.wait,
-            told=tell,
+            settings, robot, arguments.operator or "", arguments.timeout, stopped, wait=arguments.wait, told=tell
         )
     except NotSentError as error:
         sys.stderr.write(f"{who}: {NOTHING_SENT}. {button}\n")
         raise error.cause from error
     except CommandError:
-        sys.stderr.write(f"{who}: NOT SEEN TO STOP: it was sent, and nothing is seen. {button}\n")
+        sys.stderr.write(f"{who}: NOT CONFIRMED STOPPED: the stop was sent, but no state arrives. {button}\n")
         raise
     for name in report.unfinished:
-        sys.stderr.write(f"{name}: it stands; its stop sequence is not seen to end: 'cruiser why {name}'\n")
+        sys.stderr.write(f"{name}: at standstill, but its stop sequence has not ended: 'cruiser why {name}'\n")
     return msgspec.structs.replace(report, silent=silent or report.silent)
 
 
 def _code(report: StopReport, robots: list[str], settings: Settings, waited: str) -> ExitCode:
     unstopped = report.refused or report.unconfirmed or report.unverified
     if not report.stopped and not unstopped:
-        who = "nobody answered" if report.linked else "no Zenoh node answered"
+        who = "no robot replied" if report.linked else "no Zenoh node answered"
         others = who_is_there(settings, robots[0]) if len(robots) == 1 and "*" not in robots[0] else ""
         raise CommandError(f"{who} {waited}{others}", ExitCode.UNREACHABLE)
     is_partial = report.silent or unstopped or report.unfinished or not report.counted

@@ -22,9 +22,9 @@ from schemas.settings import Settings
 LAMPS: Final = ("headlamp", "left", "right")
 
 WANTS_ENGAGED: Final = """\
-This engages the robot: the lease is acquired, and afterwards the robot is stopped and the lease given back. With
---lease, the engaged robot of another command of the same operator is used ('cruiser drive' and 'cruiser lease
---engage' show its number)."""
+Acquires the lease and engages the robot; at the end stops the robot and releases the lease. With --lease, uses
+the robot that another command of the same operator has engaged ('cruiser drive' and 'cruiser lease --engage' show
+the number)."""
 
 
 class VerbCommand(msgspec.Struct, frozen=True):
@@ -46,11 +46,13 @@ class VerbCommand(msgspec.Struct, frozen=True):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.description = f"{parser.description or ''}\n\n{WANTS_ENGAGED}"
         add_robot_arguments(parser)
-        parser.add_argument("--lease", type=lease_number, metavar="N", help="use this lease of the same operator")
-        parser.add_argument("--json", action="store_true", help="one JSON object, once it is done")
+        parser.add_argument(
+            "--lease", type=lease_number, metavar="N", help="number of a lease held by the same operator"
+        )
+        parser.add_argument("--json", action="store_true", help="reply as one JSON object")
         if self.lasts:
             until = "until Ctrl-C" if self.keep_s is None else f"{self.keep_s:g}"
-            about = f"without --lease: how long to keep it ({until})"
+            about = f"without --lease: duration (default {until})"
             parser.add_argument("--seconds", type=seconds, default=self.keep_s, metavar="S", help=about)
         self.add_flags(parser)
 
@@ -61,7 +63,7 @@ class VerbCommand(msgspec.Struct, frozen=True):
                 return int(ExitCode.OK)
             verb = BY_REQUEST[type(self.request(arguments, 0))]
             if verb.engaged_only:
-                sys.stderr.write(f"{robot.name}: engages the robot for this; it stands by again afterwards\n")
+                sys.stderr.write(f"{robot.name}: engaging the robot; it returns to standby afterwards\n")
             with robot.lease() as lease, engaged(lease, robot) if verb.engaged_only else nullcontext():
                 self._ask(robot, arguments, lease.number)
                 if self.lasts:
@@ -78,7 +80,7 @@ class VerbCommand(msgspec.Struct, frozen=True):
 
 
 def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
-    sys.stderr.write(f"done; lease {lease.number} keeps the robot engaged; Ctrl-C ends it\n")
+    sys.stderr.write(f"done; lease {lease.number} keeps the robot engaged until Ctrl-C\n")
     while not stopped():
         lease.check()
         time.sleep(POLL_S)
@@ -86,19 +88,18 @@ def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
 
 def _add_lamps(parser: argparse.ArgumentParser) -> None:
     for lamp in LAMPS:
-        parser.add_argument(f"--{lamp}", action="store_true", help="on; off if not given")
+        parser.add_argument(f"--{lamp}", action="store_true", help=f"{lamp} on; off if left out")
 
 
 def _add_odometers(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group(required=True)
-    about = "set the total mileage of the chassis to zero; there is no way back"
+    about = "total mileage of the chassis to zero; this cannot be undone"
     which.add_argument("--clear", action="store_true", help=about)
-    which.add_argument("--reset-pose", action="store_true", help="set the pose of chassis/odometry to zero")
+    which.add_argument("--reset-pose", action="store_true", help="pose of chassis/odometry to zero")
 
 
 PARK: Final = VerbCommand(
-    "  cruiser park cruiser-1\n  cruiser park cruiser-1 --lease 123456789",
-    lambda _, lease: Park(lease=lease),
+    "  cruiser park cruiser-1\n  cruiser park cruiser-1 --lease 123456789", lambda _, lease: Park(lease=lease)
 )
 UNPARK: Final = VerbCommand(
     "  cruiser unpark cruiser-1 --lease 123456789\n"
@@ -117,14 +118,14 @@ HORN: Final = VerbCommand(
     "  cruiser horn cruiser-1\n  cruiser horn cruiser-1 on --lease 123456789",
     lambda arguments, lease: Horn(lease=lease, on=arguments.switch == "on"),
     lambda parser: parser.add_argument(
-        "switch", nargs="?", choices=["on", "off"], default="on", help="on (the default) or off"
+        "switch", nargs="?", choices=["on", "off"], default="on", help="on or off (default on)"
     ),
     lasts=True,
     keep_s=1.0,
 )
 ODOMETER: Final = VerbCommand(
     "  cruiser odometer cruiser-1 --clear\n"
-    "  cruiser odometer cruiser-1 --reset-pose        of a robot that stands by; it is not engaged",
+    "  cruiser odometer cruiser-1 --reset-pose        without engaging the robot",
     lambda arguments, lease: ResetOdometry(lease=lease) if arguments.reset_pose else ClearOdometer(lease=lease),
     _add_odometers,
 )

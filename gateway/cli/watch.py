@@ -43,13 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=keys.ALL,
         type=robot_names,
         metavar="ROBOT",
-        help="the robot, or several by '*', as 'cruiser-1*'; all of them if left out",
+        help="robot, or several, as in 'cruiser-1*' (default: all)",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     parser.add_argument(
-        "--timeout", type=seconds, default=5.0, metavar="S", help="how long to wait for the robot (5)"
+        "--timeout", type=seconds, default=5.0, metavar="S", help="time to wait for the robot (default 5)"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object a second and robot, one a line")
+    parser.add_argument("--json", action="store_true", help="one JSON object per robot and second, one per line")
     add_zenoh_arguments(parser)
 
 

@@ -92,22 +92,22 @@ def _report(robot: Robot, arguments: argparse.Namespace, unmet: Refused | None) 
             # The cure of some is this command.
             cure = "" if "cruiser why" in unmet.cure else f" -> {plain(unmet.cure)}"
             why = f"{plain(unmet.detail)} ({unmet.reason.value}){cure}"
-            sys.stdout.write(f"{robot.name}: UNVERIFIED, all of this: {why}\n")
+            sys.stdout.write(f"{robot.name}: UNVERIFIED: {why}\n")
         sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
-        sys.stdout.write(f"  link: {link_line(state) or 'no commands are obeyed, so their age is not known'}\n")
+        sys.stdout.write(f"  link: {link_line(state) or 'no commands'}\n")
         sys.stdout.writelines(
             f"  {reason_line(reason, robot.name, state.blocked_by)}\n" for reason in state.blocked_by
         )
         if not state.blocked_by:
-            sys.stdout.write("  nothing keeps it from moving: it does what its operator's drive commands say\n")
+            sys.stdout.write("  blockers: none\n")
         elif is_idle(state.blocked_by):
-            sys.stdout.write("  nothing is wrong: it waits for somebody who drives it\n")
+            sys.stdout.write("  nothing is wrong: no operator is driving\n")
         sys.stdout.writelines(
-            f"  see to: {plain(note)}\n" for note in (health.notes if health is not None else ())
+            f"  needs attention: {plain(note)}\n" for note in (health.notes if health is not None else ())
         )
         sys.stdout.writelines(f"  slowed by {reason_line(reason, robot.name)}\n" for reason in slowed_by)
         if events:
-            sys.stdout.write("lately:\n")
+            sys.stdout.write("last events:\n")
             now_ns = state.time_ns + round(sighting.age_s * 1e9)
             sys.stdout.writelines(f"  {event_line(event, now_ns)}\n" for event in events)
     return int(ExitCode.OK if is_idle(state.blocked_by) and unmet is None else ExitCode.FAILURE)

@@ -98,7 +98,7 @@ class NewerWords:
         """All of it in one line; empty if there is none."""
         shown = ", ".join(sorted(self.counts)[:NEWER_WORDS_SHOWN])
         return (
-            f"a newer version says what {THIS_SIDE} does not know ({shown}): upgrade {THIS_SIDE}" if shown else ""
+            f"{THIS_SIDE} does not know what a newer version sent ({shown}): upgrade {THIS_SIDE}" if shown else ""
         )
 
 
@@ -462,7 +462,7 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
     blocked = ", ".join(reason.value for reason in blocked_by)
     return [
         Fact("arbiter", safety.state.value),
-        Fact("driver", plain(safety.lease_holder) or "nobody"),
+        Fact("driver", plain(safety.lease_holder) or "none"),
         *([Fact("latched", latched, is_bad=True)] if latched else []),
         *([Fact("stopped by", plain(", ".join(safety.stopped_by)), is_bad=True)] if safety.stopped_by else []),
         *([Fact("blocked by", blocked, not is_idle(blocked_by))] if blocked else []),

@@ -19,14 +19,7 @@ import msgspec
 
 from gateway.authority.session import UNSIGNED, Unmet
 from gateway.choice.chassis import CHASSIS
-from gateway.client.fleet import (
-    BY_REQUEST,
-    CONTRADICTION,
-    contradict,
-    encode_request,
-    read_reply,
-    read_sample,
-)
+from gateway.client.fleet import BY_REQUEST, CONTRADICTION, contradict, encode_request, read_reply, read_sample
 from gateway.client.proof import Evidence, LinkProof
 from gateway.client.refusal import Refused, Unreachable, refused
 from gateway.client.remote_stop import Seen
@@ -56,7 +49,7 @@ FOREIGN_NS: Final = 500_000_000
 SENT_KEPT: Final = 128  # so many commands are remembered: those of the last two seconds and a half
 
 
-BEGAN_ANEW: Final = "the robot's gateway has begun anew, and knows nothing of the lease"
+BEGAN_ANEW: Final = "the robot's gateway was restarted and does not know the lease"
 """It died, or was restarted: its ticks are those of another run."""
 
 GRANT_ENDS: Final = frozenset({Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED})
@@ -182,7 +175,7 @@ class DriveStream:
             self._loss.clear()
             if self._is_foreign(state) and self._foreign.add(now_ns) and not self.is_lost:
                 self.is_shared = True
-                self.lose(Reason.LEASE_TAKEN, "commands that this program did not send are obeyed under its lease")
+                self.lose(Reason.LEASE_TAKEN, "the robot executes commands that this program did not send")
         elif self._was_holder and self._loss.add(now_ns):
             if state.lease_holder:
                 self.lose(Reason.LEASE_TAKEN, f"by {state.lease_holder}")
@@ -355,7 +348,7 @@ class RobotLink:
             now_ns = time.monotonic_ns()
             if self._state is None or now_ns - self._state_ns > SILENT_NS:
                 for_s = f", for {(now_ns - self._state_ns) / _S:.1f} s" if self._state is not None else ""
-                raise Unreachable(f"{self.robot} is not heard any more{for_s}")
+                raise Unreachable(f"no state from {self.robot}{for_s}")
             chassis = self._chassis if self.hears_chassis else None
             return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis, self._health)
 
@@ -387,7 +380,7 @@ class RobotLink:
                     if refusal.reason is not Reason.BUSY:
                         raise
                 except Unanswered:
-                    log.debug("%s left a request for its lease unanswered", self.robot)
+                    log.debug("%s did not answer a lease request", self.robot)
                 time.sleep(AGAIN_S)
         return self._ask_known(request, max(AGAIN_S, deadline_s - time.monotonic()))
 
@@ -467,7 +460,7 @@ class RobotLink:
             if isinstance(one, Missed):
                 self._seen = [one]
             elif self._proof is not None and not self._proof.believes(one):
-                self.unreadable = f"{one.key} is not signed by the robot, or was published before"
+                self.unreadable = f"{one.key} is not signed by the robot, or is a repeat"
             else:
                 self._hear(one, time.monotonic_ns())
         if self._proof is not None:

@@ -76,7 +76,7 @@ def _ms(time_s: float) -> str:
 
 def holder_line(state: SafetyState) -> str:
     if not state.lease_holder:
-        return "nobody holds the lease"
+        return "no operator holds the lease"
     holder = plain(state.lease_holder)
     return f"{holder} holds the lease as {state.lease_role.value}, expires in {state.lease_expires_s:.1f} s"
 

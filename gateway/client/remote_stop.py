@@ -252,7 +252,7 @@ def _settle(stopping: _Stopping, timeout_s: float, stopped: Callable[[], bool]) 
     return stopping.report()
 
 
-_UNCONFIRMED: Final = "its speed reads 0, which no feedback has confirmed"
+_UNCONFIRMED: Final = "its speed reads 0, not confirmed by feedback"
 
 
 class _Sight:
@@ -293,16 +293,16 @@ class _Sight:
     def doubt(self) -> str:
         """The reason for which it is not known to have stopped; empty if it is."""
         if self._unreadable and not (self._latch.is_enough and self._stand.is_enough):
-            return f"it cannot be seen: {self._unreadable}"
+            return f"its state cannot be read: {self._unreadable}"
         if not self._latch.is_enough:
-            return "its safety/state says so too briefly" if self._says else "its safety/state does not say so"
+            return "its safety/state shows it too briefly" if self._says else "its safety/state does not show it"
         if self._speed_mps is None:
-            return "its speed is not seen"
+            return "its speed is unknown"
         if self._stand.is_enough:
             return ""
         if self._speed_mps >= STANDSTILL_MPS:
-            return f"it is seen to move at {self._speed_mps:.2f} m/s"
-        return "it is seen to stand too briefly" if self._is_confirmed else _UNCONFIRMED
+            return f"it moves at {self._speed_mps:.2f} m/s"
+        return "it has stood too briefly" if self._is_confirmed else _UNCONFIRMED
 
 
 class _Stopping:

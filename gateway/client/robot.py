@@ -127,7 +127,7 @@ class Robot:
                 is_reached = commands.connected() and commands.reaches()
                 link.close()
                 if unmet is not None and is_reached:
-                    what = f"{name} is reached at {place(settings.zenoh)}, but not met"
+                    what = f"{name} is reached at {place(settings.zenoh)}, but not verified"
                     raise Refused(what, unmet.reason, unmet.text, unmet.cure, robot=name)
                 raise Unreachable(f"{problem} within {timeout_s:g} s at {place(settings.zenoh)}")
             if not is_met and commands.reaches():
@@ -169,14 +169,14 @@ class Robot:
             self._link.commands, self._root, self.name, timeout_s, self._link.look, doubt=self._link.doubt
         )
         for unmet in report.unverified.values():
-            what = f"{self.name} is not known to stop, for its answer cannot be verified"
+            what = f"{self.name} not confirmed stopped: its reply cannot be verified"
             raise Refused(what, Reason.NOT_CONFIRMED, unmet.text, unmet.cure, robot=self.name)
         if report.unconfirmed:
             why = "; ".join(report.unconfirmed.values())
-            raise Refused(f"{self.name} is not seen to stop", Reason.NOT_CONFIRMED, why, robot=self.name)
+            raise Refused(f"{self.name} not confirmed stopped", Reason.NOT_CONFIRMED, why, robot=self.name)
         if report.refused:
             why = "; ".join(report.refused.values())
-            raise Refused(f"{self.name} is not stopped", Reason.NONE, why, robot=self.name)
+            raise Refused(f"{self.name} not stopped", Reason.NONE, why, robot=self.name)
         if not report.stopped:
             raise Unreachable(f"{self.name} did not answer the stop within {timeout_s:g} s")
         if wait:
@@ -264,7 +264,7 @@ class Lease:
             self._ask(Release(lease=stream.lease))
         except CommandError as failure:
             # The robot ends it by itself when it expires, and an error of the body must not be hidden.
-            log.warning("the lease was not given back, it expires: %s", failure)
+            log.warning("the lease was not released; it will expire: %s", failure)
 
     @property
     def number(self) -> int:
@@ -287,7 +287,7 @@ class Lease:
         ending = self._in_force().ending
         if ending is not None:
             robot = self._link.robot
-            raise Stopped(f"{robot} obeys no more", ending.reason, ending.detail, robot=robot)
+            raise Stopped(f"{robot} stopped", ending.reason, ending.detail, robot=robot)
         self._link.sighting()
 
     def engage(
@@ -321,7 +321,7 @@ class Lease:
         self._link.wait_for(lambda _: stream.engaged or stream.ending is not None, ENGAGED_SEEN_S)
         self.check()
         if not stream.engaged:
-            raise Unreachable(f"{self._link.robot} says that it is engaged, but its safety/state does not")
+            raise Unreachable(f"{self._link.robot} replied 'engaged', but its safety/state does not confirm it")
 
     def drive(
         self,
@@ -429,7 +429,10 @@ def _reset(link: RobotLink, lease: int, of: str, *, wait: bool) -> str:
         challenge = now.challenge
         if new := [reason for reason in now.latched if reason not in seen.latched]:
             raise Refused(
-                f"{link.robot} is not reset, for this is new", new[-1], now.stop_detail, robot=link.robot
+                f"{link.robot} not reset: a new latch was set meanwhile",
+                new[-1],
+                now.stop_detail,
+                robot=link.robot,
             )
     end_s = time.monotonic() + RESET_AGAIN_S
     while True:
@@ -490,9 +493,9 @@ def _problem(link: RobotLink) -> str:
     if not link.commands.connected():
         return "no Zenoh node answered"
     if link.unreadable:
-        return f"{link.robot} cannot be read ({link.unreadable}), and nothing else of it was heard"
+        return f"no readable state from {link.robot} ({link.unreadable})"
     if not link.is_heard and link.hears_chassis:
-        return f"the gateway of robot {link.robot!r} only listens (gateway.listen_only), and takes no commands"
+        return f"the gateway of robot {link.robot!r} only listens (gateway.listen_only) and accepts no commands"
     if not link.is_heard:
-        return f"robot {link.robot!r} was not heard"
-    return f"robot {link.robot!r} is heard, but takes no commands"
+        return f"no state received from robot {link.robot!r}"
+    return f"robot {link.robot!r} sends its state, but accepts no commands"

@@ -111,7 +111,7 @@ def test_versions_with_the_same_schemas_work_together(tree: Tree, tmp_path: Path
         drive = ("drive", "--operator", "op", "cruiser-1", "--speed", "0.3", "--seconds", "1", *there)
         wait_until(lambda: ask(*drive)[0] == 0)
         assert ask("list", *there)[0] == 0
-        assert ask("stop", "cruiser-1", *there) == (0, "cruiser-1: stops, latched until a reset\n")
+        assert ask("stop", "cruiser-1", *there) == (0, "cruiser-1: stopped, latched until a reset\n")
         assert ask("reset", "cruiser-1", *there)[0] == 0
     assert logs
     assert {"fleet/cruiser-1/safety/state", "fleet/cruiser-1/journal"} <= topics(tmp_path / "logs")
@@ -135,7 +135,7 @@ def test_versions_of_another_state_say_so_and_stop_all_the_same(tree: Tree, tmp_
             assert "upgrade the robot's gateway" in said
         else:
             # That version believed the reply alone.
-            assert (code, said) == (0, "cruiser-1: stops, latched until a reset\n")
+            assert (code, said) == (0, "cruiser-1: stopped, latched until a reset\n")
     assert logs
     assert "fleet/cruiser-1/safety/state/@raw" in topics(tmp_path / "logs")
 

@@ -126,7 +126,7 @@ def test_a_gateway_starts_without_its_interface_if_told_to(
     why = why.format(vcan.name)
     endpoint = free_endpoint()
     ended = run(["gateway", "--channel", vcan.name, "--listen", endpoint])
-    told = f"cruiser gateway: {why} (--wait-for-bus starts without it)"
+    told = f"cruiser gateway: {why} (with --wait-for-bus the gateway starts without it)"
     assert (ended.returncode, ended.stderr.splitlines()[-1]) == (ExitCode.UNREACHABLE, told)
     with (
         gateway(vcan.name, endpoint, "--wait-for-bus"),

@@ -63,7 +63,7 @@ def test_a_stop_that_only_an_impostor_answers_is_not_believed() -> None:
             done = run(["stop", ROBOT, "--connect", endpoint, "--timeout", "2"])
     assert done.returncode == ExitCode.PARTIAL
     assert done.stdout == ""
-    assert done.stderr.startswith(f"{ROBOT}: NOT SEEN TO STOP: ")
+    assert done.stderr.startswith(f"{ROBOT}: NOT CONFIRMED STOPPED: ")
     assert "button" in done.stderr
 
 
@@ -80,7 +80,7 @@ def test_replies_that_contradict_each_other_are_said_to() -> None:
         def is_contradicted() -> bool:
             done = run(["stop", ROBOT, "--connect", endpoint])
             if done.returncode == ExitCode.OK:
-                assert (done.stdout, done.stderr) == (f"{ROBOT}: stops, latched until a reset\n", "")
+                assert (done.stdout, done.stderr) == (f"{ROBOT}: stopped, latched until a reset\n", "")
                 return False
             assert (done.returncode, done.stdout) == (ExitCode.PARTIAL, "")
             return "contradict each other" in done.stderr

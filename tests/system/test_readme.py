@@ -83,7 +83,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser record -o logs": Start("record: waiting", stays=True),
     "cruiser drive cruiser-1": Start("hold to move"),
     "cruiser drive cruiser-1 --speed 0.5 --angle 10 --seconds 3": Run("driven for 3 s", drives=True),
-    "cruiser stop cruiser-1": Run("cruiser-1: stops, latched"),
+    "cruiser stop cruiser-1": Run("cruiser-1: stopped, latched"),
     "cruiser why cruiser-1": Run("a remote stop was received", codes=(0, 1)),
     "cruiser reset cruiser-1": Run("cleared .*remote_stop"),
     "cruiser review events logs": Run("remote_stop", ended=("cruiser record -o logs",)),

@@ -142,7 +142,7 @@ def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet) -> 
     with fleet.running() as process:
         process.wait_says(words)
         fleet.refuses()
-        assert f"see to: self_test: {file}: {words}; {cure}" in fleet.why()
+        assert f"needs attention: self_test: {file}: {words}; {cure}" in fleet.why()
 
 
 def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) -> None:

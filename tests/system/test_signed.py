@@ -394,7 +394,7 @@ def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name:
         done = run(["why", ROBOT, "--connect", site.endpoint, "--config", configuration, "--timeout", "3"])
         assert done.returncode == ExitCode.FAILURE, done.stderr
         first, *lines = done.stdout.splitlines()
-        assert first.startswith(f"{ROBOT}: UNVERIFIED, all of this: it does not prove its identity")
+        assert first.startswith(f"{ROBOT}: UNVERIFIED: it does not prove its identity")
         assert any(f"{name} is not there; 'cruiser provision " in line for line in lines), done.stdout
         assert any(line.startswith("  remote_stop: ") for line in lines), done.stdout
         listed = run(["list", "--connect", site.endpoint, "--config", configuration])

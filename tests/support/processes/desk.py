@@ -168,7 +168,7 @@ def reset(page: Page) -> None:
 
 def is_engaged(page: Page) -> bool:
     """This page drives the robot, and what is pressed from now on counts."""
-    return is_driven(page) and page.get_by_text("You drive.").is_visible()
+    return is_driven(page) and page.get_by_text("You are driving.").is_visible()
 
 
 def is_driven(page: Page) -> bool:

@@ -91,7 +91,7 @@ def _stop(_settings: Settings, robot: str, _operator: str, _timeout_s: float) ->
     """Of one robot the best that can come of a stop, of all of them everything."""
     if robot != keys.ALL:
         return StopReport([robot], {}, {}, [], linked=True)
-    blocked, held = {"blocked": "its bus is down"}, {"in-control": "its speed is not seen"}
+    blocked, held = {"blocked": "its bus is down"}, {"in-control": "its speed is unknown"}
     return StopReport(["ready"], blocked, held, ["offline"], linked=True)
 
 

@@ -153,9 +153,9 @@ def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, con
             break
         page.mouse.up()
     other.keyboard.press("Escape")
-    other.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+    other.get_by_text("cruiser-1: stopped and latched (measured)").wait_for()
     page.mouse.up()
-    page.get_by_text("You no longer drive: a remote stop was received").wait_for()
+    page.get_by_text("You are no longer driving: a remote stop was received").wait_for()
     page.locator(".band", has_text="stopped by").wait_for()
     other.get_by_text("a remote stop was received (remote_stop)").wait_for()
     reset(other)
@@ -171,7 +171,7 @@ def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None
         scene.gateway.process.send_signal(signal.SIGSTOP)
         try:
             page.get_by_role("button", name="STOP ALL").click()
-            page.get_by_text("cruiser-1: did not reply: it is not known to stand").wait_for()
+            page.get_by_text("cruiser-1: no reply: not confirmed stopped").wait_for()
         finally:
             scene.gateway.process.send_signal(signal.SIGCONT)
         assert scene.desk.stop() == 0
@@ -195,7 +195,7 @@ def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
         if number is signal.SIGSTOP:
             stood = len(scene.told_mps())
             scene.desk.process.send_signal(signal.SIGCONT)
-            page.get_by_text("You no longer drive").wait_for()
+            page.get_by_text("You are no longer driving").wait_for()
             assert max(map(abs, scene.told_mps()[stood:])) == 0
             assert scene.desk.stop() == 0
 
@@ -206,10 +206,7 @@ def flood(address: str, said: bytes, ended: threading.Event) -> None:
     place = ("127.0.0.1", int(host.rpartition(":")[2]))
     head = "".join(f"{name}: {value}\r\n" for name, value in upgrade(f"http://{host}", host).items())
     while not ended.is_set():
-        with (
-            closing(socket.create_connection(place)) as loud,
-            suppress(OSError),
-        ):
+        with closing(socket.create_connection(place)) as loud, suppress(OSError):
             loud.sendall(f"GET /link HTTP/1.1\r\n{head}\r\n".encode())
             loud.recv(1)
             loud.settimeout(0.05)
@@ -241,7 +238,7 @@ def test_no_flood_of_other_connections_stops_a_driven_robot(opcode: int, context
                 page.mouse.up()
             assert min(scene.told_mps()[told:]) > 0
             page.keyboard.press("Escape")
-            page.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+            page.get_by_text("cruiser-1: stopped and latched (measured)").wait_for()
             page.mouse.up()
         finally:
             ended.set()
@@ -274,7 +271,7 @@ def test_a_stop_fails_for_no_name(scene: DeskScene, context: BrowserContext) -> 
     page = open_robot(context, scene)
     page.evaluate("localStorage.setItem('operator', 'an/n *')")
     page.keyboard.press("Escape")
-    page.get_by_text("cruiser-1: stands, latched, by measurement").wait_for()
+    page.get_by_text("cruiser-1: stopped and latched (measured)").wait_for()
     reset(page)
 
 
@@ -343,7 +340,7 @@ def test_two_browsers_have_two_names_and_are_asked_for_them_once(
         assert len(set(names)) == 2
         assert all(re.fullmatch("desk-[0-9a-f]{4}", name) for name in names)
         first.get_by_role("button", name="Take control").click()
-        first.get_by_text(f"You drive as {names[0]}: others see this name").wait_for()
+        first.get_by_text(f"You drive as {names[0]}. Others see this name").wait_for()
         assert not is_driven(first)
         name_page(first, "ann")
         take_control(first)
@@ -426,11 +423,13 @@ def let_ann_in(page: Page, fleet: ProvisionedFleet, directory: Path) -> None:
     download.value.save_as(request)
     bundle = fleet.sign(request, "--speed-limit", "0.4")
     fingerprint = request_fingerprint(read_request(request.read_bytes()))
-    page.get_by_text(f"request {fingerprint}: 'cruiser provision sign' shows the same").wait_for()
+    page.get_by_text(f"request {fingerprint}: 'cruiser provision sign' must show the same").wait_for()
     page.get_by_label("Load bundle").set_input_files(bundle)
-    page.get_by_text(f"ann: request {fingerprint}, authority {fleet.fingerprint}. Compare").wait_for()
+    page.get_by_text(
+        f"ann: request {fingerprint}, authority {fleet.fingerprint}. Before you accept, compare"
+    ).wait_for()
     assert page.get_by_text("Open mode").is_visible()
-    page.get_by_role("button", name="They are the same").click()
+    page.get_by_role("button", name="The fingerprints match").click()
     page.get_by_text(re.compile("Signs as ann, operator, at most 0.4 m/s, until ")).wait_for()
 
 
@@ -481,7 +480,7 @@ def test_a_browser_signs_with_a_key_of_its_own(
     scene, fleet = signed
     page = open_robot(context, scene)
     page.get_by_role("button", name="Take control").click()
-    page.get_by_text("This robot obeys signed commands alone").wait_for()
+    page.get_by_text("This robot accepts only signed commands").wait_for()
     assert set(map(abs, scene.told_mps())) <= {0.0}
     let_ann_in(page, fleet, tmp_path)
     drive(scene, page, forward=1.0)
@@ -525,7 +524,7 @@ def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
     scene, fleet = signed
     page = open_robot(context, scene)
     let_ann_in(page, fleet, tmp_path)
-    bundle, takes = tmp_path / "operator-ann.bundle", page.get_by_role("button", name="They are the same")
+    bundle, takes = tmp_path / "operator-ann.bundle", page.get_by_role("button", name="The fingerprints match")
     changed, thieves = tmp_path / "changed.bundle", ProvisionedFleet(tmp_path / "thieves")
     changed.write_bytes(bundle.read_bytes().replace(b'"root":"fleet"', b'"root":"fleeT"'))
     page.get_by_label("Load bundle").set_input_files(changed)
@@ -535,7 +534,7 @@ def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
         "sign", tmp_path / "operator-ann.request", "--directory", thieves.authority, "-o", changed, "--replace"
     )
     page.get_by_label("Load bundle").set_input_files(changed)
-    page.get_by_text(f"authority {thieves.fingerprint}. Compare").wait_for()
+    page.get_by_text(f"authority {thieves.fingerprint}. Before you accept, compare").wait_for()
     page.get_by_label("Load bundle").set_input_files(bundle)
     page.get_by_text(re.compile(f"authority {fleet.fingerprint}$")).wait_for()
     assert not takes.is_visible()

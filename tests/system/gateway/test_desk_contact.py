@@ -27,7 +27,7 @@ def lost_s(page: Page) -> float:
 def assert_nothing_old_is_shown(page: Page) -> None:
     """No control but STOP, nobody who drives, no value of the robot."""
     text = page.locator("main").inner_text()
-    assert "You drive" not in text
+    assert "You are driving" not in text
     assert "m/s" not in text.replace("Speed, m/s", "")
     assert not page.locator(".pad, .why, .facts").filter(visible=True).count()
     assert not page.locator("main button:visible, main input:visible").count()
@@ -62,7 +62,7 @@ def test_a_robot_that_is_not_heard_is_nobody_s(
             victim(scene, name).process.send_signal(signal.SIGCONT)
             # It is shown again; nobody drives on by themselves.
             wait_until(lambda: lost_s(page) == 0)
-            page.get_by_text("You no longer drive: no contact with cruiser-1").wait_for()
+            page.get_by_text("You are no longer driving: no contact with cruiser-1").wait_for()
             assert not page.locator(".pad.live").count()
         scene.wait_told_zero()
 

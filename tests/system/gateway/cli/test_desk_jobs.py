@@ -25,7 +25,7 @@ def test_a_question_that_takes_too_long_is_given_up() -> None:
     before = children()
     done = asyncio.run(ask_review(["info", "/dev/zero"], seconds=0.05))
     assert (done.code, done.output) == (None, b"")
-    assert done.fault == "no answer within 0 s: ask 'cruiser review info' itself"
+    assert done.fault == "no answer within 0 s: use 'cruiser review info'"
     assert children() <= before  # one of another test may have ended
 
     async def go_away() -> None:
@@ -41,7 +41,7 @@ def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.
     monkeypatch.setattr("sys.executable", "/nowhere/python")
     done = asyncio.run(ask_review(["info", "/dev/zero"]))
     assert (done.code, done.output) == (None, b"")
-    assert done.fault == "no process can be started: No such file or directory"
+    assert done.fault == "cannot start a process: No such file or directory"
 
 
 def test_a_sandbox_that_forbids_priorities_gets_its_answer(

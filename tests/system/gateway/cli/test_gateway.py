@@ -126,10 +126,7 @@ def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
 def test_a_lost_chassis_comes_back() -> None:
     """With --wait-for-bus it may come late, too. When it goes the state says so, and nothing ends."""
     endpoint, address = free_endpoint(), free_endpoint().removeprefix("tcp/")
-    with (
-        gateway(address, endpoint, "--wait-for-bus") as running,
-        closing(Listener(endpoint)) as listener,
-    ):
+    with gateway(address, endpoint, "--wait-for-bus") as running, closing(Listener(endpoint)) as listener:
         listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
         with chassis(listen=address) as (sim, _):
             listener.wait_for("fleet/cruiser-1/state", lambda state: state["bus_up"] and not state["silent"])
@@ -265,10 +262,7 @@ def operated(address: str, operator: str = "first") -> Iterator[tuple[Running, R
 def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() -> None:
     """Row 'the guard has stopped the robot: latched, also across a restart, with its words as an event'."""
     with chassis() as (_, address):
-        with (
-            operated(address) as (running, robot),
-            robot.lease() as lease,
-        ):
+        with operated(address) as (running, robot), robot.lease() as lease:
             wait_until(lambda: lease.is_engaged or is_done(lease.engage))
             running.stop(signal.SIGKILL)
         # The gateway's stderr has ended, and so has its guard, which has it too.
@@ -351,11 +345,7 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first() -> None:
 
 def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
     """Somebody goes up to the robot then: a restart that comes right after must not clear the stop."""
-    with (
-        chassis() as (_, address),
-        operated(address) as (_, robot),
-        robot.lease() as lease,
-    ):
+    with chassis() as (_, address), operated(address) as (_, robot), robot.lease() as lease:
         wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
         robot.stop()
         assert any(Path(os.environ["XDG_STATE_HOME"]).glob("**/*.latched.json"))
@@ -363,11 +353,7 @@ def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
 
 def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
     """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
-    with (
-        chassis() as (_, address),
-        operated(address) as (running, robot),
-        robot.lease() as lease,
-    ):
+    with chassis() as (_, address), operated(address) as (running, robot), robot.lease() as lease:
         wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
         running.process.kill()
         with operated(address, "second") as (after, other):
@@ -384,7 +370,7 @@ def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint) as running:
-        running.wait_says("will not stay so across a restart: gateway.state_dir is empty")
+        running.wait_says("will not survive a restart: gateway.state_dir is empty")
         running.wait_says(r"no real-time priority.*: 1 m/s \(command.speed_limit_without_realtime_mps\); .*rtprio")
         with closing(Listener(endpoint)) as listener:
             assert not listener.wait_for("fleet/cruiser-1/gateway/health")["realtime"]

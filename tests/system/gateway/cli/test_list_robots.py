@@ -108,7 +108,7 @@ def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(cap
     with (
         FakeFleet(400) as fleet,
         TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy,
-        pytest.raises(CommandError, match=r"did not say within 3 s which robots are connected") as caught,
+        pytest.raises(CommandError, match=r"did not list its robots within 3 s") as caught,
     ):
         list_robots(proxy.endpoint, "--timeout", "3")
     assert caught.value.code is ExitCode.UNREACHABLE
@@ -124,7 +124,7 @@ def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pyte
         with pytest.raises(KeyboardInterrupt):
             list_robots(gateway.listen, until=lambda: True)
     assert out == SILENT
-    more = f"there may be more: not everybody answered within 2 s at {gateway.listen}\n"
+    more = f"there may be more robots: not every node answered within 2 s at {gateway.listen}\n"
     assert errors.partition("\n")[2] == more
     assert capsys.readouterr() == ("", "")
 

@@ -139,7 +139,7 @@ def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
         assert not caplog.records
     with pytest.raises(CommandError, match=r"cannot listen on 192\.0\.2\.1:9747"):
         MetricsServer(fleet(), "192.0.2.1", 9747)
-    assert "whoever reaches 192.0.2.1:9747 reads how the robots are" in caplog.text
+    assert "any client that reaches 192.0.2.1:9747 can read the robots' health" in caplog.text
 
 
 def test_a_page_whose_name_points_here_is_answered_nothing() -> None:

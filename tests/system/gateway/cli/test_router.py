@@ -85,4 +85,4 @@ def test_a_stop_of_all_in_open_mode_that_has_no_link_says_the_same() -> None:
     code, text = said("--all", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5", command="stop")
     lines = text.splitlines()
     assert (code, len(lines)) == (4, 2), text
-    assert lines[0].startswith("all robots: NOT STOPPED: NOTHING WAS SENT: there is no link. Use the buttons on")
+    assert lines[0].startswith("all robots: NOT STOPPED: NOTHING WAS SENT: no link. Use the buttons on")

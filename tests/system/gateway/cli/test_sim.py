@@ -77,7 +77,7 @@ def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
             assert receive(bus, lambda message: message.arbitration_id == 0x321)
         running.end()
         assert sim.process.wait(30) == ExitCode.UNREACHABLE
-        sim.wait_says("no bus")
+        sim.wait_says("bus unavailable")
 
 
 def test_seconds_end_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,11 +16,11 @@ ROUTER = "tls/127.0.0.1:47447"
 DRIVE, SIGN, DEMO = "drive cruiser-1 --seconds 1", "provision sign some.request", "demo --desk --no-browser"
 NO_FILE = "cannot read the configuration file '/nowhere/robot.toml': no such file or directory"
 NO_ADDRESS = "is not an address and a port, such as 0.0.0.0:9747"
-REFUSED = "no server there: [Errno 111] Connection refused (--wait-for-bus starts without it)"
+REFUSED = "no server there: [Errno 111] Connection refused (with --wait-for-bus the gateway starts without it)"
 NOBODY = "no Zenoh node answered within 0.5 s at tcp/{free}"
 
 WRONG: list[tuple[str, ExitCode, str]] = [
-    ("wach", USAGE, "cruiser: there is no command 'wach'; did you mean 'watch'?"),
+    ("wach", USAGE, "cruiser: unknown command 'wach'; did you mean 'watch'?"),
     *[(f"{one} --config /nowhere/robot.toml", USAGE, NO_FILE) for one in ("decode", "list", "watch")],
     ("sim --listen nonsense", USAGE, "HOST:PORT"),
     ("sim --listen 256.256.256.256:1", UNREACHABLE, "cannot listen"),
@@ -28,9 +28,9 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("sim --listen {taken}", UNREACHABLE, "cruiser sim: cannot listen on {taken}: Address already in use"),
     ("sim --fault '3s bumpr front on'", USAGE, "did you mean 'bumper'"),
     ("sim --fault 'slope -31'", USAGE, "from -30 to 30"),
-    ("sim --listen 127.0.0.1:0 --interface virtual", USAGE, "exclude"),
+    ("sim --listen 127.0.0.1:0 --interface virtual", USAGE, "cannot be combined"),
     ("sim --channel x", USAGE, "--interface"),
-    ("sim --interface socketcand --channel 127.0.0.1:9", UNREACHABLE, "no bus"),
+    ("sim --interface socketcand --channel 127.0.0.1:9", UNREACHABLE, "bus unavailable"),
     *[
         (f"sim {flag} {value}", USAGE, flag)
         for flag, value in (
@@ -64,7 +64,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     *[(f"demo --seconds {one}", USAGE, "must be from 20 to 86400") for one in ("5", "19", "1e6")],
     ("demo --out /proc/nowhere", FAILURE, "/proc/nowhere"),
     ("demo --out {here}/none.pem", FAILURE, "cannot write in {here}/none.pem: Not a directory"),
-    (f"{DEMO} --robots 0", USAGE, "no whole number from 1 to 64"),
+    (f"{DEMO} --robots 0", USAGE, "not a whole number from 1 to 64"),
     (f"{DEMO} --endpoint tcp/0.0.0.0:0", USAGE, "can be reached from other machines"),
     (f"{DEMO} --endpoint here", USAGE, "here"),
     (f"{DEMO} --robots 1 --endpoint tcp/{{taken}}", UNREACHABLE, "{taken}"),
@@ -73,14 +73,14 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("desk --certificate /nowhere/desk.pem", USAGE, "desk.key"),
     ("desk --listen {taken}", UNREACHABLE, "{taken}"),
     ("desk --listen 127.0.0.1:0 --certificate {here}/none.pem --key {here}/desk.key", USAGE, "none.pem"),
-    ("desk --logs missing --logs-only", USAGE, "missing is no directory"),
-    ("desk --logs . --viewer 'javascript:alert(1)'", USAGE, "no address of a viewer"),
+    ("desk --logs missing --logs-only", USAGE, "missing is not a directory"),
+    ("desk --logs . --viewer 'javascript:alert(1)'", USAGE, "not the address of a viewer"),
     ("desk --logs-only", USAGE, "--logs-only needs --logs DIR"),
-    (f"{DRIVE} --speed 0.2 --deadman 1.5", USAGE, "longer than a deadman may be, 1 s"),
-    (f"{DRIVE} --speed 9", USAGE, "9 m/s is more than the chassis can do, 2.222 m/s"),
-    (f"{DRIVE} --speed -2.3", USAGE, "-2.3 m/s is more than the chassis can do, 2.222 m/s"),
-    (f"{DRIVE} --speed 1 --angle 30", USAGE, "30 deg is more than the chassis can do, 24 deg"),
-    (DRIVE, USAGE, "--seconds wants --speed too"),
+    (f"{DRIVE} --speed 0.2 --deadman 1.5", USAGE, "longer than the maximum timeout, 1 s"),
+    (f"{DRIVE} --speed 9", USAGE, "9 m/s is above the chassis's maximum, 2.222 m/s"),
+    (f"{DRIVE} --speed -2.3", USAGE, "-2.3 m/s is above the chassis's maximum, 2.222 m/s"),
+    (f"{DRIVE} --speed 1 --angle 30", USAGE, "30 deg is above the chassis's maximum, 24 deg"),
+    (DRIVE, USAGE, "--seconds needs --speed"),
     ("drive cruiser-1 --speed 1", USAGE, "no terminal to read keys from"),
     ("drive cruiser-1", USAGE, "no terminal to read keys from"),
     *[
@@ -131,7 +131,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ],
     ("provision rotate no.json", USAGE, "no.json is not there"),
     ("provision show {here}/none.pem --all", USAGE, "none.pem: it contains no statement"),
-    ("provision revoke", USAGE, "what is to be revoked?"),
+    ("provision revoke", USAGE, "nothing to revoke"),
     ("provision revoke ann", USAGE, "no authority's key is in"),
     *[
         (f"{SIGN} {flag} {value}", USAGE, flag)
@@ -140,8 +140,8 @@ WRONG: list[tuple[str, ExitCode, str]] = [
             *[("--robots", "Depot")],
         )
     ],
-    (f"{SIGN} --hours 0", USAGE, "'0' is no number of hours"),
-    (f"{SIGN} --days 4000", USAGE, "'4000' is no number of days"),
+    (f"{SIGN} --hours 0", USAGE, "'0' is not a number of hours"),
+    (f"{SIGN} --days 4000", USAGE, "'4000' is not a number of days"),
 ]
 
 

@@ -122,7 +122,7 @@ def test_ctrl_c_and_q_stop_and_leave(key: bytes) -> None:
         driver.types(key)()
         assert driver.process.wait(30) == 0
         assert fake.state is ArbiterState.STANDBY
-        driver.wait_shows("cruiser-1: left; it stands by, and the lease is given back")
+        driver.wait_shows("cruiser-1: stopped and on standby; lease released")
 
 
 def test_a_window_that_is_closed_stops_the_robot() -> None:

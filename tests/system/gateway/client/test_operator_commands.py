@@ -29,7 +29,7 @@ ACTIONS = {
     "reset_odometry": (ODOMETER, ["--reset-pose"]),
 }
 DRIVE = ("cruiser-1", "--speed", "1", "--seconds", "100")
-STOPPED = "cruiser-1: stops, latched until a reset"
+STOPPED = "cruiser-1: stopped, latched until a reset"
 
 
 def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = lambda: False) -> int:
@@ -65,7 +65,7 @@ def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture)
         asked = {(one.requested_speed_mps, one.requested_angle_deg) for one in fake.accepted("drive")}
         assert (-0.2, 3.0) in asked
     driven, link = capsys.readouterr().out.splitlines()
-    assert driven == "cruiser-1: driven for 1 s, at most 0.20 m/s"
+    assert driven == "cruiser-1: driven for 1 s, top speed 0.20 m/s"
     assert re.fullmatch(r"  command latency \d+ ms .*, timeout 900 ms, .* speed limit [\d.]+ m/s", link)
 
 
@@ -78,8 +78,8 @@ def test_drive_is_ended_early_at_rest(capsys: Capture) -> None:
         assert run(drive, fake.listen, *words, until=moves) == ExitCode.PARTIAL
         assert fake.state is ArbiterState.STANDBY
         shown = capsys.readouterr()
-        assert shown.err == "cruiser-1: ended early, of 100 s\n"
-        assert re.search(r"driven for [\d.]+ s, at most 0\.2\d m/s", shown.out)
+        assert shown.err == "cruiser-1: ended before 100 s were over\n"
+        assert re.search(r"driven for [\d.]+ s, top speed 0\.2\d m/s", shown.out)
 
 
 def hit(fake: FakeRobot) -> None:
@@ -101,7 +101,9 @@ def vanish(fake: FakeRobot) -> None:
         pytest.param(hit, False, "front_bumper", ExitCode.FAILURE, id="hit as it drives"),
         pytest.param(hit, True, "front_bumper", ExitCode.FAILURE, id="hit as it comes to rest"),
         pytest.param(loosen, True, "not seen to come to rest within 3 s", ExitCode.FAILURE, id="not at rest"),
-        pytest.param(vanish, False, "not heard any more.*use its button", ExitCode.UNREACHABLE, id="not heard"),
+        pytest.param(
+            vanish, False, "no state from cruiser-1.*use its button", ExitCode.UNREACHABLE, id="not heard"
+        ),
     ],
 )
 def test_a_drive_that_does_not_end_well_says_why(
@@ -139,7 +141,7 @@ def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None
         assert fake.flow.arbiter.leases.held is None
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.startswith("cruiser-1: engages the robot for this;") is BY_VERB[verb].engaged_only
+    assert said.err.startswith("cruiser-1: engaging the robot;") is BY_VERB[verb].engaged_only
 
 
 def test_an_action_uses_the_lease_of_another_terminal(capsys: Capture) -> None:
@@ -215,25 +217,25 @@ def test_stop_takes_several_names_and_patterns(capsys: Capture) -> None:
         assert not other.latched
         assert run(stop, fake.listen, "yard-2", "hall-*", "--timeout", "3") == ExitCode.PARTIAL
         said = capsys.readouterr()
-    assert said.out == "yard-2: stops, latched until a reset\n"
-    assert said.err == "hall-*: NO ANSWER; it was sent all the same. Use the button on the robot\n"
+    assert said.out == "yard-2: stopped, latched until a reset\n"
+    assert said.err == "hall-*: NO REPLY; the stop was sent. Use the button on the robot\n"
 
 
 def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
     """Exit code 4, and a hint to the button; 3 if only some answered."""
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen, deaf=True) as deaf:
-        nobody = "nobody answered"
+        nobody = "no robot replied"
         fails(ExitCode.UNREACHABLE, nobody, stop, fake.listen, "cruiser-2", "--timeout", "2")
         assert Reason.REMOTE_STOP in deaf.latched
-        assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
+        assert "cruiser-2: NO REPLY" in capsys.readouterr().err
         before = len(deaf.puts)
-        with pytest.raises(CommandError, match="nobody answered before it was ended"):
+        with pytest.raises(CommandError, match="no robot replied before Ctrl-C"):
             run(stop, fake.listen, "cruiser-2", until=lambda: deaf.has_heard(before + 1))
-        assert "cruiser-2: NO ANSWER" in capsys.readouterr().err
+        assert "cruiser-2: NO REPLY" in capsys.readouterr().err
         assert run(stop, fake.listen, "--all", "--timeout", "3") == ExitCode.PARTIAL
         said = capsys.readouterr()
-    assert said.out == "cruiser-1: stops, latched until a reset\n"
-    assert said.err.startswith("cruiser-2: NO ANSWER")
+    assert said.out == "cruiser-1: stopped, latched until a reset\n"
+    assert said.err.startswith("cruiser-2: NO REPLY")
     for words in ([], ["cruiser-1", "--all"]):
         fails(ExitCode.USAGE, "", stop, free_endpoint(), *words)
 
@@ -245,7 +247,7 @@ def test_who_names_a_robot_that_is_not_there_learns_which_are() -> None:
             says = r"; connected: cruiser-1, cruiser-2$"
             fails(ExitCode.UNREACHABLE, says, module, fake.listen, "cruiser-9", "--timeout", "1")
     with FakeRobot("cruiser-1", mute=True) as fake:
-        line = fails(ExitCode.UNREACHABLE, "was not heard", why, fake.listen, "cruiser-1", "--timeout", "1")
+        line = fails(ExitCode.UNREACHABLE, "no state received", why, fake.listen, "cruiser-1", "--timeout", "1")
         assert "connected" not in line
 
 
@@ -278,14 +280,14 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
 
         idle = [Reason.NO_LEASE, Reason.NOT_ENGAGED]
         wait_until(lambda: bool(fake.said) and fake.said[-1].blocked_by == idle)
-        says(0, "nothing is wrong: it waits for somebody who drives it")
+        says(0, "nothing is wrong: no operator is driving")
         assert run(stop, fake.listen, "cruiser-1") == 0
         capsys.readouterr()
         says(
             1,
             "no_lease: nobody holds the lease -> acquire it with 'cruiser drive cruiser-1'",
             "remote_stop: a remote stop was received -> reset with 'cruiser reset cruiser-1'",
-            "lately:",
+            "last events:",
             "latched until a reset",
             but="nothing is wrong",
         )
@@ -297,7 +299,7 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
             assert [one["reason"] for one in json.loads(capsys.readouterr().out)["blocked_by"]] == ["parked"]
             held.unpark()
             assert robot.wait_for(lambda state: state.blocked_by == [], 20)
-            says(0, "nothing keeps it from moving")
+            says(0, "blockers: none")
 
 
 def test_why_says_that_the_gateway_has_no_real_time_priority(capsys: Capture) -> None:
@@ -318,7 +320,7 @@ def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
     """Held until told to stop, taken only from who may lose it; its number is the output."""
     with FakeRobot() as fake:
         assert run(lease, fake.listen, "cruiser-1") == 0
-        assert capsys.readouterr().out == "cruiser-1: nobody holds the lease\n"
+        assert capsys.readouterr().out == "cruiser-1: no operator holds the lease\n"
         engaged = lambda: fake.state is ArbiterState.ENGAGED  # noqa: E731 - it reads as a condition
         assert run(lease, fake.listen, "cruiser-1", "--hold", "--engage", until=engaged) == 0
         assert int(capsys.readouterr().out) > 0

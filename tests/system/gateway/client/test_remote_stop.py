@@ -20,8 +20,8 @@ from tests.support.waiting import wait_until
     [
         ({}, 20, ["cruiser-1"], [], {}),
         ({"deaf": True}, 3, [], ["cruiser-1"], {}),
-        ({"moves_mps": -0.5}, 2, [], [], "it is seen to move at 0.50 m/s"),
-        ({"mute": True}, 2, [], [], "its safety/state does not say so"),
+        ({"moves_mps": -0.5}, 2, [], [], "it moves at 0.50 m/s"),
+        ({"mute": True}, 2, [], [], "its safety/state does not show it"),
     ],
     ids=["it stops", "it answers nothing", "it goes on moving", "it says nothing"],
 )

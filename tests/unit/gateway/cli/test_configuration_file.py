@@ -36,7 +36,7 @@ def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
     assert load_settings(None, {"CRUISER_CONFIG": file}, {}).can.channel == "vcan7"
     assert load_settings(file, {"CRUISER_CONFIG": "/nowhere"}, {}).can.channel == "vcan7"
     assert load_settings(None, {}, {}) == load_settings(None, {"CRUISER_CONFIG": ""}, {}) == Settings()
-    with pytest.raises(CommandError, match=r"^--config names no file: its value is empty$") as caught:
+    with pytest.raises(CommandError, match=r"^--config is empty: it must name a file$") as caught:
         load_settings("", {}, {})
     assert caught.value.code is ExitCode.USAGE
 
@@ -48,7 +48,7 @@ def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
         (".", None, "cannot read the configuration file"),
         ("a\0b", None, "cannot read the configuration file"),
         ("robot.toml", b"[can]\nbus = '\xff'\n", r"robot\.toml:2: not UTF-8 text \(byte 0xff\)"),
-        ("robot.json5", None, r"--zenoh-config takes; --config takes settings: .*robot\.toml"),
+        ("robot.json5", None, r"for --zenoh-config; --config takes a settings file: .*robot\.toml"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_one_clear_line(

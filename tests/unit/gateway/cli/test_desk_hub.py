@@ -46,7 +46,7 @@ class Scene:
 
     def stop(self, _settings: Settings, robot: str, operator: str, _timeout_s: float) -> StopReport:
         self.stops.append((robot, operator))
-        return StopReport(["cruiser-1"], {}, {"cruiser-2": "its speed is not seen"}, ["cruiser-3"], linked=True)
+        return StopReport(["cruiser-1"], {}, {"cruiser-2": "its speed is unknown"}, ["cruiser-3"], linked=True)
 
     def step(self, *messages: Message, seconds: float = 0.25) -> None:
         self.listener.waiting += map(received, messages)
@@ -164,7 +164,7 @@ def test_what_cannot_be_done_is_said() -> None:
     scene.hub.receive(browser, b"\xc1")
     scene.say(browser, **{"is": "acknowledge"}, robot="made-up", word="needs_reset", operator="bob")
     faults = [one.fault for one in told(browser, words.DeskRefused)]
-    assert (len(faults), faults[0], faults[2]) == (3, "there is no verb 'fly'", "no robot made-up is heard")
+    assert (len(faults), faults[0], faults[2]) == (3, "unknown verb 'fly'", "unknown robot made-up")
     for number in range(QUESTIONS_MAX + 1):
         scene.say(browser, number=number, verb="renew", **verb)
     scene.say(browser, number=0, verb="renew", **verb)
@@ -212,7 +212,7 @@ async def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
             await asyncio.wait_for(browser.ready.wait(), 30)
         (known,) = outcome
         assert (known.standing, known.silent) == (["cruiser-1"], ["cruiser-3"])
-        assert known.unconfirmed == {"cruiser-2": "its speed is not seen"}
+        assert known.unconfirmed == {"cruiser-2": "its speed is unknown"}
     assert scene.stops == [("*", "ann")]
 
 

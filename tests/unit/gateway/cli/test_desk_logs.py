@@ -115,10 +115,10 @@ def test_a_directory_that_is_none_or_cannot_be_read_is_one_clear_line(
     tmp_path: Path, unreadable: set[Path]
 ) -> None:
     """Which names it and the setting; and, where it is there, what is missing."""
-    with pytest.raises(CommandError, match=r"logs is no directory \(desk\.logs\)$"):
+    with pytest.raises(CommandError, match=r"logs is not a directory \(desk\.logs\)$"):
         DeskLogs.open(str(tmp_path / "logs"))
     unreadable.add(tmp_path)
-    with pytest.raises(CommandError, match=rf"not read {tmp_path}: give it the group .* \(desk\.logs\)$"):
+    with pytest.raises(CommandError, match=rf"not read {tmp_path}: add it to the .* \(desk\.logs\)$"):
         DeskLogs.open(str(tmp_path))
 
 
@@ -132,7 +132,7 @@ def test_a_log_that_cannot_be_read_says_so_in_one_line(tmp_path: Path, unreadabl
         for kind in ("logs", "reports"):
             answer = ask(app, f"/{kind}/{LOG}")
             assert (answer.status, answer.text.count("\n")) == (403, 0)
-            assert f"may not read {LOG}: give it the group" in answer.text
+            assert f"may not read {LOG}: add it to the" in answer.text
             assert ask(app, f"/{kind}/{LOG.replace('1', '2')}").status == 404
 
 
@@ -163,7 +163,7 @@ def test_what_becomes_a_link_while_it_is_asked_for_is_not_followed(
         open_before = len(list(Path("/proc/self/fd").iterdir()))
         monkeypatch.setattr(DeskLogs, "path", change)
         answer = ask(app, f"/logs/{LOG}")
-        assert (answer.status, answer.text) == (404, "there is no such log")
+        assert (answer.status, answer.text) == (404, "no such log")
         assert len(list(Path("/proc/self/fd").iterdir())) == open_before
 
 
@@ -344,5 +344,5 @@ def test_the_origin_is_as_browsers_write_it(url: str, origin: str) -> None:
 )
 def test_what_is_no_page_is_refused(url: str) -> None:
     """Above all what would be a script in a link."""
-    with pytest.raises(CommandError, match=r"desk\.viewers: .* no address of a viewer"):
+    with pytest.raises(CommandError, match=r"desk\.viewers: .* not the address of a viewer"):
         viewer(url)

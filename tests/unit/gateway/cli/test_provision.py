@@ -224,8 +224,8 @@ def test_who_is_not_known_here_is_not_let_in_without_limits_in_silence(
     again = ("--directory", new.place / "authority", "-o")
     capsys.readouterr()
     run("sign", request, *again, "wide.bundle")
-    warning = "nothing is known of this key here: all robots, all verbs, no speed limit; "
-    assert capsys.readouterr().err == f"{warning}--robots and --speed-limit narrow it\n"
+    warning = "this key had no grant here before: it gets all robots, all verbs and no speed limit; "
+    assert capsys.readouterr().err == f"{warning}limit it with --robots and --speed-limit\n"
     robot = fleet.request("robot", "cruiser-1")
     run("sign", robot, *again, "robot.bundle")
     assert capsys.readouterr().err == ""
@@ -299,7 +299,7 @@ def test_who_carries_the_files_of_an_authority_changes_no_key_in_them_unseen(
     keys = json.loads(file.read_text())
     for field in keys:
         (fleet.place / "changed.json").write_text(json.dumps(keys | {field: "00" * 32}))
-        assert "of another authority" in refused("rotate", "changed.json", *directory, "--fingerprint", shown)
+        assert "another authority than" in refused("rotate", "changed.json", *directory, "--fingerprint", shown)
 
 
 # Revocation and rotation.
@@ -366,9 +366,7 @@ def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None
     assert (statement.keys, statement.epoch) == ([f"{0:064x}"], 1)
 
 
-def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
-    fleet: ProvisionedFleet,
-) -> None:
+def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(fleet: ProvisionedFleet) -> None:
     """Only --replace with the fingerprint says it: whoever carries a renewal may bring another authority."""
     robot = fleet.let_in("robot", "cruiser-1")
     run("renew", "robot", "--directory", robot, "-o", "again.request")
@@ -380,7 +378,7 @@ def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(
     before = {file: file.read_bytes() for file in robot.iterdir()}
     text = refused("install", "new.bundle", "--directory", robot, "--replace")
     assert f"--fingerprint installs it, if 'provision authority' or 'sign' printed {new.fingerprint} there" in text
-    assert "not of that one" in refused(
+    assert "not from the one given" in refused(
         "install", "new.bundle", "--directory", robot, "--replace", "--fingerprint", fleet.fingerprint
     )
     assert {file: file.read_bytes() for file in robot.iterdir()} == before
@@ -539,7 +537,7 @@ def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -
     """A speed limit on a viewer would protect nobody."""
     request = fleet.request("viewer", "hall")
     text = refused("sign", request, "--directory", fleet.authority, "--speed-limit", "1", "--override")
-    assert text == "--override, --speed-limit: nothing of that is for a viewer"
+    assert text == "--override, --speed-limit: not for a viewer"
 
 
 # Robots that are shown a statement.
@@ -596,12 +594,12 @@ def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pyte
     ann = fleet.operator()
     revoked = fleet.authority.revoke(1, keys=(ann.key,)).text()
     for text, robots, code, says in (
-        (chain_text(ann.chain), (), ExitCode.OK, "cruiser-1: taken over"),
-        (revoked, (), ExitCode.OK, "cruiser-1: taken over"),
-        (revoked, (), ExitCode.OK, "cruiser-1: has it, or a newer one (the same was"),
+        (chain_text(ann.chain), (), ExitCode.OK, "cruiser-1: accepted"),
+        (revoked, (), ExitCode.OK, "cruiser-1: accepted"),
+        (revoked, (), ExitCode.OK, "cruiser-1: already has this one or a newer one (the same was"),
         (chain_text(ann.chain), (), ExitCode.REFUSED, "cruiser-1: refused: the grant was revoked; by list 1; ask"),
-        (revoked, ("cruiser-9",), ExitCode.UNREACHABLE, "cruiser-9: does not answer"),
-        (revoked, ("cruiser-1", "cruiser-9"), ExitCode.PARTIAL, "cruiser-1: has it"),
+        (revoked, ("cruiser-9",), ExitCode.UNREACHABLE, "cruiser-9: no reply"),
+        (revoked, ("cruiser-1", "cruiser-9"), ExitCode.PARTIAL, "cruiser-1: already has"),
         (Fleet().authority.revoke(9).text(), (), ExitCode.REFUSED, "cruiser-1: refused: the signature"),
     ):
         assert shown(text, *robots) == code
@@ -612,4 +610,4 @@ def test_an_answer_of_before_is_not_believed(port: FakePort, capsys: pytest.Capt
     """Else whoever keeps a revocation from a robot would let it seem to have it."""
     port.kept = b"asked yesterday."
     assert shown(port.bench.fleet.authority.revoke(1).text()) == ExitCode.FAILURE
-    assert capsys.readouterr().out.startswith("cruiser-1: yes, and the answer is not proven")
+    assert capsys.readouterr().out.startswith("cruiser-1: accepted, but the reply is not verified")

@@ -36,27 +36,27 @@ ROWS: dict[str, tuple[StopReport, ExitCode, str]] = {
     "who else is there was not said": (
         report("cruiser-1", counted=False),
         ExitCode.PARTIAL,
-        "there may be more robots: who is connected was not said in time",
+        "there may be more robots: the list of connected robots did not arrive in time",
     ),
     "its stop sequence does not end": (
         report("cruiser-1", unfinished=["cruiser-1"]),
         ExitCode.PARTIAL,
-        "cruiser-1: it stands; its stop sequence is not seen to end: 'cruiser why cruiser-1'",
+        "cruiser-1: at standstill, but its stop sequence has not ended: 'cruiser why cruiser-1'",
     ),
     "an answer that is not verified: neither a stop nor silence": (
         report(unverified={"cruiser-1": UNMET}),
         ExitCode.PARTIAL,
-        f"cruiser-1: ITS ANSWER CANNOT BE VERIFIED: its grant is over. Cure: renew cruiser-1. {BUTTON}",
+        f"cruiser-1: REPLY NOT VERIFIED: its grant is over. Cure: renew cruiser-1. {BUTTON}",
     ),
     "it is not seen to stand": (
         report(unconfirmed={"cruiser-1": "it moves"}),
         ExitCode.PARTIAL,
-        f"cruiser-1: NOT SEEN TO STOP: it moves. {BUTTON}",
+        f"cruiser-1: NOT CONFIRMED STOPPED: it moves. {BUTTON}",
     ),
     "a viewer who stops all may not have reached them": (
         report(silent=["cruiser-1"], reached_all=False),
         ExitCode.UNREACHABLE,
-        "cruiser-1: NO ANSWER; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'. "
+        "cruiser-1: NO REPLY; a viewer's certificate stops one robot at a time: 'cruiser stop cruiser-1'. "
         + BUTTON,
     ),
 }
@@ -78,7 +78,7 @@ def test_what_came_of_a_stop_is_said_and_is_the_code(
         found = run_command(stop, "--all")
     except CommandError as error:
         found = error.code
-    stands = "cruiser-1: stops, latched until a reset\n" if came.stopped else ""
+    stands = "cruiser-1: stopped, latched until a reset\n" if came.stopped else ""
     assert (found, *capsys.readouterr()) == (code, stands, f"{said}\n" if said else "")
 
 
@@ -88,11 +88,9 @@ def test_events_are_dated_by_the_robots_clock(
     """It need not be that of the machine on which somebody asks."""
     state = msgspec.structs.replace(STANDBY, time_ns=WALL_NS + 3 * SECOND)
     robot = SimpleNamespace(
-        name=ROBOT,
-        state=lambda: Sighting(state, 0.5, None, HEALTH),
-        events=lambda: [safety_event(EventKind.STOP)],
+        name=ROBOT, state=lambda: Sighting(state, 0.5, None, HEALTH), events=lambda: [safety_event(EventKind.STOP)]
     )
     monkeypatch.setattr(why, "connect", lambda *_: nullcontext(robot))
     monkeypatch.setattr(why, "EVENTS_S", 0)
     why.run(argparse.Namespace(json=False), Settings(), lambda: False)
-    assert "lately:\n  3.5 s ago: warning: as it were\n" in capsys.readouterr().out
+    assert "last events:\n  3.5 s ago: warning: as it were\n" in capsys.readouterr().out

@@ -338,12 +338,7 @@ SHOWN: dict[str, Row] = {
     ),
     "the limit in force": (of(speed_limit_mps=0.5), CLOSE, ("limit 0.50 m/s",), ("latched",)),
     "who drives": (of(lease_holder="ann"), CLOSE, ("driver ann",), ("blocked",)),
-    "why it does not move": (
-        of(IDLE),
-        CLOSE,
-        ("driver nobody", "blocked by no_lease, not_engaged"),
-        ("last stop",),
-    ),
+    "why it does not move": (of(IDLE), CLOSE, ("driver none", "blocked by no_lease, not_engaged"), ("last stop",)),
     "a remote stop is no idling": (
         BUS_LOST,
         CLOSE,

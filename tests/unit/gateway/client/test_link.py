@@ -460,10 +460,7 @@ def test_a_robot_that_is_asked_too_much_is_asked_for_its_lease_again() -> None:
 
 def test_a_refusal_is_no_reason_to_ask_again() -> None:
     """Nor are other verbs sent twice: they may have been carried out."""
-    for door, request in (
-        (FakeDoor(Reason.LEASE_HELD), Acquire()),
-        (FakeDoor(Reason.BUSY), Park(lease=7)),
-    ):
+    for door, request in ((FakeDoor(Reason.LEASE_HELD), Acquire()), (FakeDoor(Reason.BUSY), Park(lease=7))):
         with pytest.raises(Refused):
             asked(door, request)
         assert door.asked == 1

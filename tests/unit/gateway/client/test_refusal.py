@@ -38,11 +38,7 @@ EVENT = SafetyEvent(AT_NS, 0, 0, Severity.INFO, EventKind.ENGAGED, Reason.NONE, 
 
 @pytest.mark.parametrize(
     ("later_s", "told"),
-    [
-        (3.24, "3.2 s ago"),
-        (-0.05, "0.0 s ago"),
-        (-3585.5, "at 08:00:00 UTC by the robot's clock"),
-    ],
+    [(3.24, "3.2 s ago"), (-0.05, "0.0 s ago"), (-3585.5, "at 08:00:00 UTC by the robot's clock")],
 )
 def test_an_event_is_told_by_its_age_or_by_its_clock(later_s: float, told: str) -> None:
     """A moment newer than the state is now; far ahead of it, by a clock that was set back, no age can be told."""

@@ -84,22 +84,25 @@ def batch(at_ms: int, *states: RobotState, says: SafetyState = LATCHED) -> Batch
 
 FORGED = [batch(at_ms, *[STANDS] * 9, MOVES, *[STANDS] * 9) for at_ms in range(0, 2000, 100)]
 GUESSED = msgspec.structs.replace(LATCHED, rest_confirmed=False)
-NOT_LATCHED, BRIEFLY = "its safety/state does not say so", "its safety/state says so too briefly"
+NOT_LATCHED, BRIEFLY = "its safety/state does not show it", "its safety/state shows it too briefly"
 SEEN: dict[str, tuple[list[Batch], str]] = {
     "read late, in batches more than a second apart": ([batch(0), batch(1200)], ""),
     "many, of one moment": ([batch(0), batch(140)], BRIEFLY),
-    "nine of ten are forged, and say that it stands": (FORGED, "it is seen to stand too briefly"),
+    "nine of ten are forged, and say that it stands": (FORGED, "it has stood too briefly"),
     "none was lost": ([batch(0), batch(400)], ""),
     "lost at the end": ([batch(0), [*batch(400), Missed()]], NOT_LATCHED),
     "lost between": ([batch(0), [Missed()], batch(400)], BRIEFLY),
     "lost, and enough came then": ([batch(0), [Missed()], batch(400), batch(800)], ""),
     "stands, and is not latched": ([batch(0), batch(400), [(800, STANDBY)]], NOT_LATCHED),
-    "moves": ([batch(0, MOVES), batch(400, MOVES)], "it is seen to move at 0.30 m/s"),
+    "moves": ([batch(0, MOVES), batch(400, MOVES)], "it moves at 0.30 m/s"),
     "a zero without feedback": (
         [batch(0, says=GUESSED), batch(400, says=GUESSED)],
-        "its speed reads 0, which no feedback has confirmed",
+        "its speed reads 0, not confirmed by feedback",
     ),
-    "of another version": ([[(0, PayloadFault("state is version 2"))]], "it cannot be seen: state is version 2"),
+    "of another version": (
+        [[(0, PayloadFault("state is version 2"))]],
+        "its state cannot be read: state is version 2",
+    ),
 }
 
 
@@ -145,7 +148,7 @@ def test_the_library_says_what_cannot_be_verified_and_the_cure(monkeypatch: pyte
     report = remote_stop.StopReport([], {}, {}, [], linked=True, unverified={"cruiser-1": unmet})
     monkeypatch.setattr(remote_stop, "stop", lambda *_, **__: report)
     link: Any = SimpleNamespace(robot="cruiser-1", commands=None, look=list, doubt=None)
-    with pytest.raises(Refused, match="cruiser-1 is not known to stop") as refused:
+    with pytest.raises(Refused, match="cruiser-1 not confirmed stopped") as refused:
         Robot(link, "ann", "fleet").stop()
     said = refused.value
     assert (said.reason, said.detail, said.cure) == (Reason.NOT_CONFIRMED, "it is not signed", "see cruiser-1")
