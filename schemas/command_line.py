@@ -132,7 +132,7 @@ def add_certificate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--certificate", type=Path, metavar="FILE", help="its certificate chain, PEM: needed beyond this machine"
     )
-    parser.add_argument("--key", type=Path, metavar="FILE", help="the certificate's private key, PEM")
+    parser.add_argument("--certificate-key", type=Path, metavar="FILE", help="the certificate's private key, PEM")
 
 
 def certificate_files(
@@ -143,8 +143,9 @@ def certificate_files(
         if ipaddress.ip_address(host).is_loopback:
             return None
         raise CommandError(
-            f"beyond this machine ({host}) {who} need TLS: give --certificate and --key", ExitCode.USAGE
+            f"beyond this machine ({host}) {who} need TLS: give --certificate and --certificate-key",
+            ExitCode.USAGE,
         )
     if not chain or not key:
-        raise CommandError("--certificate and --key belong together", ExitCode.USAGE)
+        raise CommandError("--certificate and --certificate-key belong together", ExitCode.USAGE)
     return Path(chain), Path(key)

@@ -124,7 +124,7 @@ must_end_with 0 reset cruiser-2 --config ann/operator.toml --of "vic (unproven)"
 
 echo "the operator's grant is revoked while the robot drives: it stops, and the operator is locked out"
 key=$(sed -nE 's/.*"name":"ann","key":"([0-9a-f]+)".*/\1/p' authority/issued.jsonl)
-must_end_with 0 provision revoke --key "$key" --directory authority -o revocations.statement
+must_end_with 0 provision revoke --public-key "$key" --directory authority -o revocations.statement
 start drive drive cruiser-1 --config ann/operator.toml --speed 2 --seconds 600 --deadman 1
 wait_until shows "^cruiser-1 +driving .* driver ann"
 must_end_with 0 provision show revocations.statement --all --directory vic

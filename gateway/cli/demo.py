@@ -356,6 +356,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=seconds, metavar="N", help="duration (default 30, at least 20; with --desk until Ctrl-C)"
     )
     parser.add_argument(
+        "-o",
         "--out",
         type=Path,
         metavar="DIR",

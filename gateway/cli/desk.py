@@ -26,7 +26,7 @@ EXAMPLE: Final = """\
   cruiser desk
   cruiser desk --config ~/.config/cruiser/desk.toml
   cruiser desk --logs logs --logs-only
-  cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --key desk.key --name desk.example"""
+  cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --certificate-key desk.key --host desk.example"""
 
 
 PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})
@@ -49,9 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="certificate chain, PEM; required if other machines connect",
     )
-    parser.add_argument("--key", dest="desk.key", metavar="FILE", help="private key of the certificate, PEM")
     parser.add_argument(
-        "--name",
+        "--certificate-key", dest="desk.key", metavar="FILE", help="private key of the certificate, PEM"
+    )
+    parser.add_argument(
+        "--certificate-key", dest="desk.key", metavar="FILE", help="the certificate's private key, PEM"
+    )
+    parser.add_argument(
+        "--host",
         dest="desk.names",
         action="append",
         metavar="HOST",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import re
 import sys
@@ -215,7 +216,8 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
             robots = arguments.robot or port.robots(arguments.timeout)
             answers = {robot: show(port, robot) for robot in robots if not stopped()}
             for robot, answer in answers.items():
-                sys.stdout.write(f"{robot}: {plain(answer.text)}\n")
+                line = {"robot": robot, "result": answer.code.name.lower(), "text": plain(answer.text)}
+                sys.stdout.write((json.dumps(line) if arguments.json else f"{robot}: {line['text']}") + "\n")
             if not robots:
                 sys.stderr.write(f"no robot is connected at {place(settings.zenoh)}\n")
             if not settings.zenoh.config and all(one.code is ExitCode.UNREACHABLE for one in answers.values()):
@@ -338,7 +340,7 @@ Add = Callable[[str, str], argparse.ArgumentParser]
 
 
 def _add_output(action: argparse.ArgumentParser, what: str) -> None:
-    action.add_argument("-o", "--output", metavar="FILE", help=f"file of the {what}")
+    action.add_argument("-o", "--out", metavar="FILE", help=f"file of the {what}")
     _add_replace(action)
 
 
@@ -395,7 +397,7 @@ def _add_statements(add: Add) -> None:
     revoke = add("revoke", "end grants at once: makes a list of all revocations, for the robots")
     revoke.add_argument("names", nargs="*", metavar="NAME", help=f"holder, as in {ISSUED_FILE}")
     revoke.add_argument(
-        "--key",
+        "--public-key",
         action="append",
         default=[],
         type=matching("[0-9a-f]{64}", "not 64 hexadecimal digits"),
@@ -420,6 +422,7 @@ def _add_statements(add: Add) -> None:
     show.add_argument(
         "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"wait for a reply ({TIMEOUT_S:g})"
     )
+    show.add_argument("--json", action="store_true", help="one JSON object for each answer")
     add_zenoh_arguments(show)
 
 
@@ -482,7 +485,7 @@ class _Output:
     """A file that travels, and can be written: that is seen before anything is made, signed or numbered for it."""
 
     def __init__(self, arguments: argparse.Namespace, usual: Path) -> None:
-        self.path = Path(arguments.output) if arguments.output else usual
+        self.path = Path(arguments.out) if arguments.out else usual
         self._replace = arguments.replace
         shown = plain(str(self.path))
         if os.path.lexists(self.path) and not self._replace:
@@ -560,7 +563,7 @@ def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
     if not (arguments.names or arguments.key or arguments.epoch):
         raise CommandError("nothing to revoke: give NAME, --key or --epoch", ExitCode.USAGE)
     issuer = Issuer.open(store)
-    issued, keys = issuer.issued(), list(arguments.key)
+    issued, keys = issuer.issued(), list(arguments.public_key)
     revoked: list[str] = []
     for name in arguments.names:
         found = {one.holder.hex(): one.role for one in issued if one.name == name and one.key}

@@ -227,7 +227,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--defaults", action="store_true", help="no questions: use what was found for all that is not given"
     )
-    parser.add_argument("--name", type=robot_name, metavar="NAME", help="the robot's name")
+    parser.add_argument("--robot", type=robot_name, metavar="NAME", help="the robot's name")
     parser.add_argument("--interface", metavar="NAME", help="python-can interface (default socketcan)")
     parser.add_argument("--channel", metavar="CHANNEL", help="channel of the interface (default can0)")
     parser.add_argument("--bitrate", type=_bitrate, metavar="BIT/S", help=f"bit rate (default {USUAL_BITRATE})")
@@ -344,9 +344,9 @@ def _answers(
         return default if given is None else given
 
     robot = next((one for one in bundles if one.role is EnrolmentRole.ROBOT), None)
-    name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.name, robot_name)
-    if arguments.name not in {None, name}:
-        raise CommandError(f"the bundle is for {plain(name)}, not {arguments.name}", ExitCode.USAGE)
+    name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.robot, robot_name)
+    if arguments.robot not in {None, name}:
+        raise CommandError(f"the bundle is for {plain(name)}, not {arguments.robot}", ExitCode.USAGE)
     interface = arguments.interface or before.can.interface
     channel, bitrate = before.can.channel, 0
     found = can_interfaces(machine.path("/sys/class/net"))

@@ -410,7 +410,7 @@ class Issuer:
             if one.holder == holder:
                 return f"its key was enrolled as {role} {plain(one.name)}"
             if one.name == name:
-                ends = f" ('cruiser provision revoke --key {one.holder.hex()}' ends it)" if one.key else ""
+                ends = f" ('cruiser provision revoke --public-key {one.holder.hex()}' ends it)" if one.key else ""
                 return f"{role} {name} has another key already, enrolled {in_utc(one.at)}{ends}"
         return ""
 

@@ -16,7 +16,7 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = (
     "  cruiser review cut log.mcap --from 03:04:05 --to 03:05:00 -o part.mcap\n"
-    "  cruiser review cut log.mcap --from -60 --topics '*/safety/*' --topics '*/state' -o part.mcap"
+    "  cruiser review cut log.mcap --from -60 --topic '*/safety/*' --topic '*/state' -o part.mcap"
 )
 DESCRIPTION: Final = (
     "Writes a part of a log into a new one: the messages of a time, by their log times, and of some topics, with "
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help=JSON_HELP)
     add_period(parser)
     parser.add_argument(
-        "--topics",
+        "--topic",
         action="append",
         default=[],
         metavar="GLOB",
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     [log] = asked.logs
     with progress_bar("cutting", asked.bytes, stopped) as progress:
         try:
-            part = cut(log, arguments.out, asked.selection, arguments.topics, asked.faults, progress)
+            part = cut(log, arguments.out, asked.selection, arguments.topic, asked.faults, progress)
         except CommandError:
             # What cannot be read may be why.
             end_with(asked.faults)

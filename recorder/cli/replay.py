@@ -44,7 +44,7 @@ from schemas.settings import DEFAULT_ENDPOINT, Settings
 EXAMPLE: Final = """\
   cruiser review replay logs                                   then: cruiser watch --root replay
   cruiser review replay LOG --from 12.5 --speed 4 --loop forever --listen tcp/127.0.0.1:7447
-  cruiser review replay LOG --keys 'fleet/cruiser-1/chassis/**' --speed max"""
+  cruiser review replay LOG --key 'fleet/cruiser-1/chassis/**' --speed max"""
 DESCRIPTION: Final = (
     "Publishes a log's messages again on Zenoh as what they were, under a root of their own, 'replay': "
     "fleet/cruiser-1/state becomes replay/cruiser-1/state. Commands are never published, nor anything under a "
@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="how often, or 'forever' (1)")
     parser.add_argument(
-        "--keys",
+        "--key",
         action="append",
         metavar="KEY",
         help="key expression, of keys as they are in the log; may be repeated (all but those with @)",
@@ -128,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    wants = wants_of(arguments.keys or [EVERY_KEY])
+    wants = wants_of(arguments.key or [EVERY_KEY])
     asked = find(arguments, settings, stopped)
     replayed, halt = _replay(arguments, settings, asked, wants, stopped)
     show(replayed, describe(replayed), as_json=arguments.json)

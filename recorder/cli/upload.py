@@ -36,7 +36,7 @@ POLL_S: Final = 0.1  # a stop is noticed so soon
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     # It runs for as long as its machine, and its log says what is safe.
     parser.set_defaults(log_level="info")
-    parser.add_argument("-d", "--directory", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
+    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
     parser.add_argument(
         "--store", dest="upload.store", metavar="URL", help="s3://BUCKET/PLACE, gs://, az:// or file:///DIRECTORY"
     )

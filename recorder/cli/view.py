@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             raise
         raise missing_extra("foxglove-sdk", "live") from None
     host, port = arguments.listen
-    certificate = certificate_files(arguments.certificate, arguments.key, host, "viewers")
+    certificate = certificate_files(arguments.certificate, arguments.certificate_key, host, "viewers")
     shown = ", ".join(arguments.robots) or "all robots"
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     with (

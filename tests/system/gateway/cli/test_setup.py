@@ -121,7 +121,7 @@ def test_a_bare_machine_becomes_a_robot_that_is_recorded(
     """It writes, starts, and examines. A second time a gateway that is not the service's is in its way."""
     systemd.listen = free_endpoint()
     monkeypatch.setenv("CRUISER_ZENOH_CONNECT", systemd.listen)
-    code = set_up(systemd.machine(), *of(bus), "--name", "depot-3")
+    code = set_up(systemd.machine(), *of(bus), "--robot", "depot-3")
     said = capsys.readouterr().out
     assert is_well(code, said), said
     settings = load_settings(str(systemd.root / TOML[1:]), {}, {})

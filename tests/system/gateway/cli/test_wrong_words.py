@@ -72,7 +72,11 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("desk --listen nowhere", USAGE, "desk.listen"),
     ("desk --certificate /nowhere/desk.pem", USAGE, "desk.key"),
     ("desk --listen {taken}", UNREACHABLE, "{taken}"),
-    ("desk --listen 127.0.0.1:0 --certificate {here}/none.pem --key {here}/desk.key", USAGE, "none.pem"),
+    (
+        "desk --listen 127.0.0.1:0 --certificate {here}/none.pem --certificate-key {here}/desk.key",
+        USAGE,
+        "none.pem",
+    ),
     ("desk --logs missing --logs-only", USAGE, "missing is not a directory"),
     ("desk --logs . --viewer 'javascript:alert(1)'", USAGE, "not the address of a viewer"),
     ("desk --logs-only", USAGE, "--logs-only needs --logs DIR"),

@@ -16,7 +16,7 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 
 def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:
-    program = module_command("gateway", "upload", "-d", str(logs), "--store", f"file://{store}")
+    program = module_command("gateway", "upload", "--logs", str(logs), "--store", f"file://{store}")
     return [*program, "--rate", str(rate), *more]
 
 

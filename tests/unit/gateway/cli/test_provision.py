@@ -358,7 +358,7 @@ def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
 
 def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None:
     """A new epoch ends all grants of before, and with them the need to list them."""
-    many = [word for number in range(300) for word in ("--key", f"{number:064x}")]
+    many = [word for number in range(300) for word in ("--public-key", f"{number:064x}")]
     revoked(fleet, *many[:200])
     with pytest.raises(CommandError, match="longer than robots accept"):
         revoked(fleet, *many, "--replace")
@@ -604,6 +604,9 @@ def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pyte
     ):
         assert shown(text, *robots) == code
         assert capsys.readouterr().out.startswith(says)
+    assert run("show", "one.statement", "--all", "--directory", "ann", "--json") == ExitCode.REFUSED
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["robot"], answer["result"]) == ("cruiser-1", "refused")
 
 
 def test_an_answer_of_before_is_not_believed(port: FakePort, capsys: pytest.CaptureFixture[str]) -> None:

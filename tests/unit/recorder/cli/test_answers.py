@@ -137,11 +137,11 @@ $ recover --json cut.mcap.part => {"outcome": "recovered", "messages": 12, "kept
 $ recover logs => = "logs/cut.mcap: recovered, 12 messages\n"
 $ recover logs => holds no log that is not finished | #0
 == a part of no topic is refused, and nothing is written [gears.mcap few.mcap]
-2$ cut gears.mcap --topics nothing -o out.mcap => no topic is of these patterns | never cut off
-2$ cut few.mcap --topics nothing -o out.mcap => no topic is of these patterns | cut off
+2$ cut gears.mcap --topic nothing -o out.mcap => no topic is of these patterns | never cut off
+2$ cut few.mcap --topic nothing -o out.mcap => no topic is of these patterns | cut off
 1$ info out.mcap => No such file
 == a part is of a time and of topics, as people write them [minute.mcap]
-$ cut minute.mcap --from 10 --to -9.5 --topics '*/gear' -o out.mcap --json => {"messages": 40, "channels": 1}
+$ cut minute.mcap --from 10 --to -9.5 --topic '*/gear' -o out.mcap --json => {"messages": 40, "channels": 1}
 $ info out.mcap --json => {"messages": 40, "start_ns": 110000000000, "end_ns": 149000000000}
 2$ cut minute.mcap --from soon -o other.mcap => is no time | only minute.mcap out.mcap
 == a part is of one log, or of a directory of one [one/gears.mcap logs/gears.mcap logs/r-2.mcap]

@@ -133,7 +133,7 @@ def test_the_messages_of_a_moment_can_be_played_again_and_again(
     """From a time, to a time, of some keys, several times."""
     one, endpoint = peer
     heard = Heard(one)
-    words = ["--from", "0.1", "--to", "0.2", "--keys", "fleet/*/chassis/**", "--loop", "3", "--speed", "max"]
+    words = ["--from", "0.1", "--to", "0.2", "--key", "fleet/*/chassis/**", "--loop", "3", "--speed", "max"]
     assert run(log, *words, endpoint=endpoint) == ExitCode.OK
     numbers = [
         message.sequence
@@ -274,7 +274,7 @@ def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFi
     "words",
     [
         *(["--root", root] for root in ("fleet/**", "")),
-        ["--keys", "a//b"],
+        ["--key", "a//b"],
         *(["--speed", text] for text in ("-1", "0", "nan", "x")),
         *(["--loop", text] for text in ("0", "x")),
     ],
@@ -291,7 +291,7 @@ def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[
     _, endpoint = peer
     for words in (["--timeout", "0.1"], ["--listen", "tcp/127.0.0.1:0"]):
         with pytest.raises(CommandError, match="nothing that could be replayed") as caught:
-            run(log, "--keys", "fleet/nobody/**", *words, endpoint=endpoint)
+            run(log, "--key", "fleet/nobody/**", *words, endpoint=endpoint)
         assert caught.value.code is ExitCode.FAILURE
     with pytest.raises(CommandError, match="No such file"):
         run(str(tmp_path / "none.mcap"), endpoint=endpoint)
