@@ -53,9 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--certificate-key", dest="desk.key", metavar="FILE", help="private key of the certificate, PEM"
     )
     parser.add_argument(
-        "--certificate-key", dest="desk.key", metavar="FILE", help="the certificate's private key, PEM"
-    )
-    parser.add_argument(
         "--host",
         dest="desk.names",
         action="append",
