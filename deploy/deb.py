@@ -1,7 +1,7 @@
-"""``make deb``: the Debian packages, into build/deb, one for each release and architecture.
+"""``make deb``: build the Debian packages into build/deb, one for each release and architecture.
 
-Each brings a Python environment of its own under /opt/cruiser, with what constraints-run.txt pins, and runs in the
-release's own Python. Nothing is compiled, so packages of any architecture are built on any, without root.
+Each has its own Python environment under /opt/cruiser with what constraints-run.txt pins, and runs in the
+release's Python. Nothing is compiled, so any machine builds packages of any architecture, without root.
 """
 
 from __future__ import annotations
@@ -35,12 +35,7 @@ EXTRAS: Final = "desk,metrics,upload"
 
 
 class Release(NamedTuple):
-    """A release of a distribution.
-
-    Attributes:
-        suffix: of the package's version.
-        python: its own, major and minor.
-    """
+    """A release of a distribution; ``python`` is its version, major and minor."""
 
     suffix: str
     python: str
@@ -92,7 +87,6 @@ sys.exit(main())
 
 
 def main() -> None:
-    """Build what is asked for; all, if nothing is."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--release", action="append", choices=RELEASES)
     parser.add_argument("--architecture", action="append", choices=MACHINES)
@@ -108,7 +102,6 @@ def main() -> None:
 
 
 def build(release: str, architecture: str, project: Path) -> Path:
-    """One package. Returns its file."""
     suffix, python = RELEASES[release]
     stage = BUILD / f"{release}-{architecture}"
     shutil.rmtree(stage, ignore_errors=True)
@@ -137,7 +130,7 @@ def build(release: str, architecture: str, project: Path) -> Path:
 
 
 def install_environment(stage: Path, python: str, architecture: str, project: Path) -> None:
-    """The wheels, and the three files that make them an environment."""
+    """Install the wheels, and the three files that make them an environment."""
     machine = MACHINES[architecture]
     wheels = BUILD / f"wheels-{python}-{machine}"
     target: list[str | Path] = ["--only-binary", ":all:", "--implementation", "cp", "--python-version", python]
@@ -177,7 +170,7 @@ def install_environment(stage: Path, python: str, architecture: str, project: Pa
 
 
 def placed() -> Iterator[tuple[Path, str]]:
-    """Each file of deploy/ that a package has, and where."""
+    """Each file of deploy/ that a package has, and its place."""
     for pattern, place in PLACES.items():
         for source in sorted(DEPLOY.glob(pattern)):
             yield source, place.format(name=source.name)
@@ -187,7 +180,7 @@ def placed() -> Iterator[tuple[Path, str]]:
 
 
 def write_control(stage: Path, version: str, python: str, architecture: str) -> None:
-    """What dpkg knows of the package, and runs."""
+    """Write dpkg's metadata and scripts."""
     files = sorted(path for path in stage.rglob("*") if path.is_file() and not path.is_symlink())
     major, minor = python.split(".")
     control = {
@@ -215,7 +208,7 @@ def write_control(stage: Path, version: str, python: str, architecture: str) -> 
 
 
 def check(stage: Path) -> None:
-    """Look for what no package may have: places of this machine, and files that anybody may write."""
+    """Reject paths of this machine and world-writable files."""
     here = [place.encode() for place in {str(ROOT), sys.prefix} if place.count("/") > 1]
     for path in stage.rglob("*"):
         mode = path.lstat().st_mode
@@ -229,7 +222,6 @@ def check(stage: Path) -> None:
 
 
 def pip(*words: str | Path) -> None:
-    """Run the pip of the environment that runs this."""
     subprocess.run([sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *words], check=True)
 
 

@@ -37,7 +37,6 @@ or
 
 @cache
 def manual(version: str) -> str:
-    """Return the page in roff."""
     parts = [HEAD.format(version=version)]
     for group, commands in GROUPS.items():
         parts.append(f".SH {group.upper()}\n")

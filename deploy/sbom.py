@@ -1,8 +1,8 @@
-"""``make sbom``: the software bill of materials of an installation, as CycloneDX 1.6 in build/sbom.json.
+"""``make sbom``: write the bill of materials of an installation as CycloneDX 1.6 into build/sbom.json.
 
-An empty environment gets what constraints-run.txt pins, as a robot does. Versions and licences are read from what
-is installed there; hashes are those of the files that pip downloaded and verified. The scripts of others that the
-page of the desk brings along are added, from the text that stands beside them.
+An empty environment gets what constraints-run.txt pins, as a robot does. Versions and licences are read there;
+hashes are those of the files that pip verified. The vendored scripts of the desk's page are added from their
+notices.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LICENCES = {"protobuf": "BSD-3-Clause"}
 
 
 def main() -> None:
-    """Write the bill, or end with what is missing in it."""
+    """Write the bill, or fail with what is missing in it."""
     # Of the tools' environment alone; the tests of the rest do without.
     from cyclonedx.schema import SchemaVersion  # noqa: PLC0415
     from cyclonedx.validation.json import JsonStrictValidator  # noqa: PLC0415
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def complete(bill: dict[str, Any], report: dict[str, Any]) -> None:
-    """Add to each component the hash of the file that it came from, and the licence that it does not name."""
+    """Add to each component the hash of its file, and the licence that it does not name."""
     files = {one["metadata"]["name"].lower(): one["download_info"] for one in report["install"]}
     for component in bill["components"]:
         info = files.get(component["name"].lower())
@@ -73,11 +73,7 @@ def complete(bill: dict[str, Any], report: dict[str, Any]) -> None:
 
 
 def vendored(directory: Path) -> list[dict[str, Any]]:
-    """The components in a directory of scripts of others, as its notices name them: name, version, files.
-
-    Raises:
-        ValueError: a file stands there without a notice, or a notice without its file.
-    """
+    """The components in a directory of vendored scripts; ValueError for a script without notice."""
     notices = (directory / NOTICES).read_text("utf-8")
     components = []
     named: list[str] = []
@@ -105,7 +101,7 @@ def vendored(directory: Path) -> list[dict[str, Any]]:
 
 
 def missing(bill: dict[str, Any]) -> str:
-    """What a bill lacks that it is for; empty if nothing."""
+    """What the bill must have and lacks; empty if nothing."""
     wanted = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
     names = {component["name"].lower() for component in bill["components"]}
     wanted += [f"{component['name']}>" for component in vendored(VENDORED)]

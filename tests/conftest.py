@@ -28,7 +28,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @pytest.hookimpl(optionalhook=True)  # pytest-xdist is not everywhere.
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:  # noqa: ANN401 - of pytest-xdist
-    """With ``--dist loadfile`` spread the tests of the system one by one."""
+    """With ``--dist loadfile`` spread system tests one by one."""
     if config.getoption("dist") != "loadfile":
         return None
     from tests.support.spreading import Spreading  # noqa: PLC0415 - it needs pytest-xdist
@@ -37,10 +37,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:  # noqa
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with what is marked ``long``; by day leave out what is marked ``night``.
-
-    Rows of matrices are marked by ``tests/support/nights.py``.
-    """
+    """Put tests marked ``long`` first; by day leave out those marked ``night`` (``tests/support/nights.py``)."""
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
     # Where pytest runs without the plugin of Hypothesis, as in the user-mode kernel, there is no such option.
     if config.getoption("--hypothesis-profile", None) == "nightly":
@@ -52,32 +49,32 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Spare the search for garbage what was collected: it stays to the end."""
+    """Keep collected items out of garbage collection."""
     gc.freeze()
 
 
 def pytest_unconfigure() -> None:
-    """Let libraries that count their objects find them gone: DuckDB tells 77 lines of those that are left."""
+    """Let libraries that count their objects find them gone: DuckDB reports 77 lines of leftovers."""
     gc.unfreeze()
 
 
 @pytest.fixture(scope="session")
 def _states(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Directories that nobody has used. For a new `tmp_path` pytest would look at those of all tests before."""
+    """Unused directories; a new `tmp_path` would make pytest scan those of all tests before."""
     home = tmp_path_factory.mktemp("states")
     return (home / str(number) for number in itertools.count())
 
 
 @pytest.fixture(autouse=True)
 def _state_of_its_own(_states: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stop by the guard in one test is latched in no other, nor for whoever runs them."""
+    """A guard's stop in one test is latched in no other."""
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(next(_states)))
 
 
 @pytest.fixture(autouse=True)
 def _scheduled_as_before() -> Iterator[None]:
-    """A test process with real-time priority would hold up the robots of all others."""
+    """A test process with real-time priority would delay the robots of all others."""
     before = os.sched_getscheduler(0)
     yield
     after = os.sched_getscheduler(0)
@@ -88,7 +85,6 @@ def _scheduled_as_before() -> Iterator[None]:
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 16 MiB."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", str(disk)]
@@ -102,7 +98,6 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    """A whole log."""
     path = tmp_path / "whole.mcap"
     path.write_bytes(small_log())
     return path
@@ -110,7 +105,6 @@ def whole(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def cut(tmp_path: Path) -> Path:
-    """The log of a recorder that was killed."""
     path = tmp_path / "cut.mcap.part"
     path.write_bytes(small_log()[:-200])
     return path

@@ -1,4 +1,4 @@
-"""The import rules: .importlinter has them, by folder, and this sees that none is without one."""
+"""Rules of the source tree that no linter holds; the import contracts are in .importlinter."""
 
 import ast
 import configparser
@@ -31,7 +31,7 @@ FRAMING = {"recorder.mcap.framing", "recorder.mcap.pieces"}
 
 
 def contracts() -> dict[str, set[str]]:
-    """The modules that each contract of .importlinter binds, by the contract's name."""
+    """The modules that each contract of .importlinter binds, by its name."""
     parser = configparser.ConfigParser()
     parser.read(ROOT / ".importlinter")
     return {
@@ -41,13 +41,13 @@ def contracts() -> dict[str, set[str]]:
 
 
 def lint_imports(tree: Path) -> subprocess.CompletedProcess[str]:
-    """Hold a tree to its contracts."""
+    """Check a tree against its contracts."""
     linter = Path(sys.executable).with_name("lint-imports")
     return subprocess.run([linter, "--no-cache"], cwd=tree, capture_output=True, text=True, check=False)
 
 
 def rooms() -> set[str]:
-    """The folders and modules right below gateway and recorder."""
+    """The folders and modules directly below gateway and recorder."""
     return {
         f"{package}.{path.stem}"
         for package in ("gateway", "recorder")
@@ -58,13 +58,13 @@ def rooms() -> set[str]:
 
 
 def test_the_import_contracts_hold() -> None:
-    """The layers are exhaustive: a folder that stands in none breaks them."""
+    """The layers are exhaustive: a folder without one breaks them."""
     outcome = lint_imports(ROOT)
     assert outcome.returncode == 0, outcome.stdout
 
 
 def test_a_socket_or_a_process_breaks_the_contracts_of_who_may_have_none(tmp_path: Path) -> None:
-    """Of a core, of what is said, and of the files of keys; each import is named."""
+    """In a core, a schema, and the files of keys; each import is named."""
     shutil.copy(ROOT / ".importlinter", tmp_path)
     for package in PACKAGES:
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__", "page"))
@@ -80,7 +80,7 @@ def test_a_socket_or_a_process_breaks_the_contracts_of_who_may_have_none(tmp_pat
 
 
 def test_every_room_has_a_contract_of_what_it_may_touch() -> None:
-    """Pure, a reader of logs, at least without CAN and Zenoh, or of those that touch the world; one of these."""
+    """Exactly one: pure, reads logs, no CAN and Zenoh, or I/O."""
     bound = contracts()
     kinds = [bound["pure"], bound["questions"], bound["world"], WORLD]
     assert {room: sum(room in kind for kind in kinds) for room in rooms()} == dict.fromkeys(rooms(), 1)
@@ -95,7 +95,7 @@ def test_a_core_that_touched_the_world_would_be_seen(module: str) -> None:
 
 
 def test_only_one_module_opens_zenoh_sessions() -> None:
-    """All others open theirs by ``schemas.zenoh_session``, and so with the same configuration."""
+    """With one configuration for all."""
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     opening = re.compile(r"\bzenoh\.(open|Config\(|Config\.)")
     found = {path.relative_to(ROOT) for path in files if opening.search(path.read_text(encoding="utf-8"))}
@@ -103,7 +103,7 @@ def test_only_one_module_opens_zenoh_sessions() -> None:
 
 
 def named_modules(path: Path) -> set[str]:
-    """The modules of gateway and recorder that a file names in strings, alone or with an object in them."""
+    """The modules of gateway and recorder that a file names in strings."""
     texts = {
         node.value.partition(":")[0]
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
@@ -115,7 +115,7 @@ def named_modules(path: Path) -> set[str]:
 
 
 def test_no_string_names_a_module_of_the_other_package() -> None:
-    """But for the one table of commands; nor does an entry point. Contracts on imports see neither."""
+    """But for the one table of commands; import contracts do not see strings and entry points."""
     files = [path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     crossing = {path for path in files if {one.partition(".")[0] for one in named_modules(path)} - {path.parts[0]}}
     assert crossing == {Path("gateway/cli/main.py")}
@@ -135,7 +135,7 @@ def framing_in(path: Path) -> set[str]:
 
 
 def test_only_one_room_knows_how_mcap_is_framed() -> None:
-    """All others read by ``recorder.mcap.reader`` and its neighbours, and write by its writer."""
+    """All others use ``recorder.mcap``'s reader and writer."""
     room = ROOT / "recorder" / "mcap"
     files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     assert {str(path): found for path in files if room not in path.parents and (found := framing_in(path))} == {}
@@ -150,7 +150,7 @@ a program of its own, which shares nothing."""
 
 
 def test_the_list_of_questions_names_every_module() -> None:
-    """The docstring of the room is its index."""
+    """The docstring of ``recorder.review`` is its index."""
     room = ROOT / "recorder" / "review"
     listed = ast.get_docstring(ast.parse((room / "__init__.py").read_text("utf-8"))) or ""
     modules = {path.stem for path in room.iterdir() if not path.stem.startswith("__")}
@@ -158,7 +158,7 @@ def test_the_list_of_questions_names_every_module() -> None:
 
 
 def test_no_docstring_begins_as_a_question() -> None:
-    """A docstring is an imperative or a noun phrase, and can be understood alone."""
+    """A docstring is an imperative or a noun phrase."""
     found = [
         f"{path.relative_to(ROOT)}:{one.lineno}"
         for package in PACKAGES
@@ -171,7 +171,7 @@ def test_no_docstring_begins_as_a_question() -> None:
 
 
 def test_no_text_is_read_in_the_encoding_of_the_surroundings() -> None:
-    """Our own files are UTF-8 whatever the locale."""
+    """Our files are UTF-8 in any locale."""
     found = [
         f"{path.relative_to(ROOT)}:{one.lineno}"
         for package in PACKAGES
@@ -185,7 +185,7 @@ def test_no_text_is_read_in_the_encoding_of_the_surroundings() -> None:
 
 
 def open_ends(tree: ast.Module) -> list[int]:
-    """The lines of texts in which ``$`` ends a pattern, or a branch of one, that is not one of lines."""
+    """The lines of texts in which ``$`` ends a pattern or a branch of one, without MULTILINE."""
     nodes = list(ast.walk(tree))
     calls = (one for one in nodes if isinstance(one, ast.Call))
     of_lines = (one for one in calls if any(getattr(part, "attr", "") == "MULTILINE" for part in ast.walk(one)))
@@ -199,7 +199,7 @@ OPEN_END = re.compile(r"(?<!\\)\$(\Z|[|)])")
 
 
 def test_no_pattern_admits_a_line_end_behind_it() -> None:
-    """``$`` does: a key with one behind it was taken for another key, and was granted what that one was not."""
+    """``$`` does: a key with a line end was granted what the other key was not."""
     found = {
         str(path.relative_to(ROOT)): lines
         for package in (*PACKAGES, "deploy")
@@ -223,7 +223,7 @@ def test_no_public_class_has_the_name_of_another() -> None:
 
 
 def test_one_function_starts_our_interpreter() -> None:
-    """With ``-P``. One that is started otherwise executes what a stranger has put into the working directory."""
+    """With ``-P``; otherwise it would execute foreign files in the working directory."""
     starts = re.compile(r"sys\.executable|import executable|multiprocessing|ProcessPool")
     found = {
         str(path.relative_to(ROOT)): set(starts.findall(path.read_text("utf-8")))
@@ -261,7 +261,7 @@ for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
 
 
 def test_every_command_explains_itself_without_the_extras() -> None:
-    """What an extra brings is imported when it is needed: 'make demo' and a robot have none of them."""
+    """An extra is imported when it is needed: 'make demo' and a robot have none."""
     subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], cwd=ROOT, check=True)
 
 
@@ -294,7 +294,7 @@ def test_no_two_folders_import_each_other() -> None:
 
 
 def test_a_name_of_a_module_means_one_in_its_package() -> None:
-    """But for ``loop``, and for the files of commands, which are named as what they show."""
+    """But for ``loop`` and files of commands."""
     places: dict[tuple[str, str], list[str]] = {}
     for name, path in modules().items():
         if path.stem not in {"__init__", "__main__", "loop"} and ".cli." not in name:

@@ -37,7 +37,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def broken_links(page: Path) -> list[str]:
-    """The links of a page to places of the tree that are not there."""
+    """The links of a page to missing places of the tree."""
     broken = []
     for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
         if re.match(r"[a-z]+:", target):
@@ -51,12 +51,12 @@ def broken_links(page: Path) -> list[str]:
 
 @pages
 def test_every_link_leads_somewhere(page: Path) -> None:
-    """To a file or a folder of the tree, and to a heading that it has."""
+    """To a file, a folder, or a heading."""
     assert broken_links(page) == []
 
 
 def test_a_broken_link_would_be_found(tmp_path: Path) -> None:
-    """A missing file, a missing heading, and none that is there."""
+    """A missing file and a missing heading."""
     page = tmp_path / "page.md"
     page.write_text(
         "# A: b_c\n[1](no.md) [2](#no) [3](page.md#a-b_c) [4](https://x.example/)\n    [5](code)\n", "utf-8"
@@ -66,7 +66,6 @@ def test_a_broken_link_would_be_found(tmp_path: Path) -> None:
 
 @pages
 def test_every_test_that_a_page_names_exists(page: Path) -> None:
-    """A line that nothing holds would be a claim."""
     for path, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", prose(page)):
         assert re.search(rf"^(async )?def {test}\(", (ROOT / path).read_text("utf-8"), re.MULTILINE), (
             f"{path}::{test}"
@@ -75,13 +74,13 @@ def test_every_test_that_a_page_names_exists(page: Path) -> None:
 
 @pages
 def test_no_page_names_the_project_as_if_an_index_had_it(page: Path) -> None:
-    """How to get an extra depends on where the project was installed from: docs/install.md."""
+    """How to get an extra depends on the installation: docs/install.md."""
     assert not re.search(r"pip install[^\n]*cruiser-gateway\b", page.read_text("utf-8"))
 
 
 @pages
 def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
-    """Files, and folders with their slash, in backticks; what has neither may be a key."""
+    """Files, and folders with their slash, in backticks."""
     if page.name == "CHANGELOG.md":
         return  # it names what was
     places = re.findall(
@@ -92,13 +91,13 @@ def test_every_place_in_the_tree_that_a_page_names_is_there(page: Path) -> None:
 
 @pytest.mark.parametrize("verb", BY_VERB)
 def test_the_page_of_commands_names_every_verb(verb: str) -> None:
-    """With a text of its own, beside the table that is generated."""
+    """In a text beside the generated table."""
     page = (ROOT / "docs" / "commands.md").read_text("utf-8")
     assert f"\n### {verb}\n" in page
 
 
 def test_the_index_of_the_documents_lists_every_page() -> None:
-    """By a link to the page itself, or to a part of it."""
+    """By a link to the page or a part of it."""
     docs = ROOT / "docs"
     linked = {target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", prose(docs / "README.md"))}
     assert {page.name for page in docs.glob("*.md")} - {"README.md"} - linked == set()
@@ -106,14 +105,14 @@ def test_the_index_of_the_documents_lists_every_page() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_the_tour_or_the_readme_names_every_command(command: str) -> None:
-    """As it is typed, or in a list of those that begin with ``cruiser``."""
+    """As typed, or in a list of those that begin with ``cruiser``."""
     text = "".join((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/tour.md"))
     assert re.search(rf"cruiser {command}\b|`{command}`", text)
 
 
 @pytest.mark.parametrize("question", QUESTIONS)
 def test_the_page_of_the_review_has_a_section_on_every_question(question: str) -> None:
-    """With a command line that asks it, and a row in the table at the top."""
+    """With a command line, and a row in the table at the top."""
     page = (ROOT / "docs" / "review.md").read_text("utf-8")
     assert re.search(rf"^## {question}\b", page, flags=re.MULTILINE)
     assert f"    cruiser review {question} " in page
@@ -121,12 +120,11 @@ def test_the_page_of_the_review_has_a_section_on_every_question(question: str) -
 
 
 def test_the_readme_is_short() -> None:
-    """What does not fit belongs into docs/."""
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= README_LINES_MAX
 
 
 def test_pictures_are_small_and_load_nothing() -> None:
-    """A picture that fetched a font would tell somebody who reads the page."""
+    """A picture that fetched a font would report who reads the page."""
     files = [path for path in (ROOT / "docs").rglob("*") if "node_modules" not in path.parts]
     pictures = [path for path in files if path.suffix in {".png", ".svg"}]
     assert pictures
@@ -139,14 +137,14 @@ def test_pictures_are_small_and_load_nothing() -> None:
 
 
 def test_the_licence_is_one() -> None:
-    """As SPDX in the metadata, and in the first line of the notice, where scanners look."""
+    """As SPDX in the metadata, and in the notice's first line for scanners."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["license"] == "Apache-2.0"
     assert (ROOT / "LICENSE").read_text("utf-8").startswith("SPDX-License-Identifier: Apache-2.0\n")
 
 
 def test_make_help_lists_every_target() -> None:
-    """Each that can be asked for has a line that says what it does."""
+    """With a line of help each."""
     makefile = (ROOT / "Makefile").read_text("utf-8")
     phony = re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)
     assert phony
@@ -157,7 +155,7 @@ def test_make_help_lists_every_target() -> None:
 
 
 def test_the_demo_installs_no_more_than_the_product_needs() -> None:
-    """The product without extras; everything else stands on that."""
+    """The product without extras."""
     done = subprocess.run(
         ["make", "-f", ROOT / "Makefile", "-n", "-W", ROOT / "pyproject.toml", "VENV=/nowhere", "demo"],
         cwd=ROOT,
@@ -170,7 +168,7 @@ def test_the_demo_installs_no_more_than_the_product_needs() -> None:
 
 
 def test_what_the_tests_lack_is_one_line(tmp_path: Path) -> None:
-    """For who is not root, before anything starts. Root gets it, and what cannot be had holds up nothing."""
+    """Before anything starts. Root gets it, and a missing package delays nothing."""
     for program in ("bash", "grep", "make"):
         (tmp_path / program).symlink_to(f"/usr/bin/{program}")
     stand_in(tmp_path / "id", "echo $WHO")
@@ -196,13 +194,12 @@ def test_what_the_tests_lack_is_one_line(tmp_path: Path) -> None:
 
 
 def stand_in(path: Path, script: str) -> None:
-    """Put a program there."""
     path.write_text(f"#!/bin/sh\n{script}\n", "utf-8")
     path.chmod(0o755)
 
 
 def test_the_last_line_of_all_tests_sums_them_up() -> None:
-    """Whatever libraries say after the runs. The exit code is that of the runs."""
+    """Whatever libraries print after the runs; with the runs' exit code."""
     runs = (
         "echo '===== 1 failed, 20 passed, 2 skipped in 3.21s ====='; echo leaks >&2; "
         "echo '= 5 passed, 1 error in 65.00s (0:01:05) ='; echo leaks >&2; exit 2"
@@ -214,7 +211,7 @@ def test_the_last_line_of_all_tests_sums_them_up() -> None:
 
 
 def test_what_npm_brings_has_a_hash_and_no_registry() -> None:
-    """Whichever registry is set gives the same, or nothing."""
+    """Any registry gives the same, or nothing."""
     found = subprocess.run(
         ["git", "ls-files", "*package.json"], cwd=ROOT, capture_output=True, text=True, check=True
     )

@@ -20,18 +20,17 @@ DRIVE_S = 2.0
 
 
 def read(message: Any) -> dict[str, Any]:
-    """A payload: a MessagePack map."""
     return msgpack.unpackb(message.payload.to_bytes())
 
 
 def ask(session: zenoh.Session, verb: str, **request: object) -> Any:
-    """Send a verb. Returns where its reply will come; without consolidation as soon as it comes."""
+    """Send a verb. Returns where its reply will arrive."""
     payload, every = msgpack.packb(request), zenoh.ConsolidationMode.NONE
     return session.get(f"{COMMANDS}/{verb}", payload=payload, timeout=3, consolidation=every)
 
 
 def agreed(reply: Any) -> dict[str, Any]:
-    """The reply to a verb, unless the robot refused it."""
+    """The reply to a verb; exits if the robot refused it."""
     answer = read(reply.ok)
     if not answer["ok"]:
         raise SystemExit(f"{answer['detail']}. Cure: {answer['cure']}")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make the pictures of the README anew: `make pictures`. Wants an idle machine, Chromium and a Chinese font.
+"""Make the README's pictures: `make pictures`. Needs an idle machine, Chromium and a Chinese font.
 
 On Debian: `apt-get install chromium fonts-wqy-microhei`.
 
-- ``demo.svg``    the terminal while the demo runs, and why the robot stopped, as the commands print it
-- ``report.png``  the top of the drive report of the same demo
-- ``desk.png``    the desk with a virtual fleet: all robots, of which one was stopped, and below it one that drives
+- ``demo.svg``    the demo in a terminal, and why the robot stopped, as the commands print it
+- ``report.png``  the top of the same demo's drive report
+- ``desk.png``    the desk with a virtual fleet: the overview, and below it a robot that drives
 """
 
 import io
@@ -39,7 +39,7 @@ DEADLINE_MS: Final = 300_000
 
 
 def cruiser(*words: str, where: Path) -> str:
-    """What a command prints."""
+    """The output of a command."""
     command = [sys.executable, "-m", "gateway", *words]
     environment = os.environ | {"COLUMNS": str(COLUMNS), "PYTHONPATH": str(PICTURES.parents[1])}
     return subprocess.run(
@@ -48,7 +48,7 @@ def cruiser(*words: str, where: Path) -> str:
 
 
 def terminal(screens: list[tuple[str, str]], title: str) -> str:
-    """Commands and what they printed, as a picture that loads nothing: the viewer's own font serves."""
+    """Commands and their output as an SVG that loads nothing: the viewer's own font serves."""
     console = Console(record=True, width=COLUMNS, file=io.StringIO(), force_terminal=True)
     for command, printed in screens:
         console.print(Text.assemble(("$ ", "bold green"), (command, "bold")))
@@ -59,7 +59,6 @@ def terminal(screens: list[tuple[str, str]], title: str) -> str:
 
 
 def chromium() -> str:
-    """Where it is."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise SystemExit("no Chromium: apt-get install chromium")
@@ -67,14 +66,14 @@ def chromium() -> str:
 
 
 def report(page: Path, picture: Path) -> None:
-    """The page as a browser shows it in the light."""
+    """The drive report as a browser shows it in the light theme."""
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=10000")
     size = (f"--window-size={WIDTH},{HEIGHT}", f"--screenshot={picture}")
     subprocess.run([chromium(), *flags, *size, page.as_uri()], check=True, stderr=subprocess.DEVNULL)
 
 
 def desk(where: Path, picture: Path) -> None:
-    """The desk of a virtual fleet: the overview, and below it a robot that drives, as a browser shows them."""
+    """The desk of a virtual fleet: the overview, and below it a robot that drives."""
     words = ("demo", "--desk", "--no-browser", "--robots", str(ROBOTS))
     command = [sys.executable, "-m", "gateway", *words]
     environment = os.environ | {"PYTHONPATH": str(PICTURES.parents[1])}
@@ -110,7 +109,7 @@ def _stopped(page: Page, address: str) -> None:
 
 
 def _driven(page: Page) -> bytes:
-    """The page of a robot that has driven for a while, and still does."""
+    """The page of a robot that has driven for a while and still does."""
     driving = page.locator(".band .word", has_text="driving")
     while True:
         page.locator("tr", has_text="driving").get_by_role("link").click()
@@ -125,14 +124,13 @@ def _driven(page: Page) -> bytes:
 
 
 def _fleet(page: Page) -> bytes:
-    """The overview, while a robot drives."""
     page.locator("tr", has_text="driving").wait_for()
     bottom = page.locator("main").bounding_box() or {}
     return page.screenshot(clip={"x": 0, "y": 0, "width": DESK_WIDTH, "height": bottom["y"] + bottom["height"]})
 
 
 def stack(above: bytes, below: bytes, picture: Path) -> None:
-    """One picture of two, of few colours."""
+    """One picture of two, with few colours."""
     images = [Image.open(io.BytesIO(one)).convert("RGB") for one in (above, below)]
     both = Image.new("RGB", (DESK_WIDTH, sum(one.height for one in images)), "white")
     both.paste(images[0], (0, 0))
@@ -141,7 +139,7 @@ def stack(above: bytes, below: bytes, picture: Path) -> None:
 
 
 def main() -> None:
-    """Run the demo once, for two pictures, and the virtual fleet for the third."""
+    """Run the demo for two pictures, and the virtual fleet for the third."""
     with tempfile.TemporaryDirectory() as folder:
         where = Path(folder)
         demo = cruiser("demo", "--seconds", "30", "--out", "demo-log", where=where)

@@ -1,4 +1,4 @@
-"""``make bench``: the figures of the design, measured here and now, as a table. Not a test: machines differ.
+"""``make bench``: measure the design's figures and print them as a table.
 
 Usage: python -m tests.bench [BENCH...] [--short] [--seconds N] ...; without a name, those of ``make bench``
 """
@@ -115,7 +115,7 @@ def main() -> None:
 
 
 def heading(words: list[str]) -> str:
-    """Where the figures come from: command, commit ("-dirty" where files differ from it) and machine."""
+    """Command, commit ("-dirty" where files differ from it) and machine."""
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
     found = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
@@ -125,7 +125,7 @@ def heading(words: list[str]) -> str:
 def measure(
     benches: dict[str, Callable[[argparse.Namespace], list[Row]]], extent: argparse.Namespace
 ) -> tuple[list[Row], list[str]]:
-    """Every figure, and the benches that failed. Says on stderr what is being measured: it takes its time."""
+    """Every figure, and the names of the benches that failed; progress goes to stderr."""
     begun_s = time.monotonic()
     rows: list[Row] = []
     failed: list[str] = []

@@ -1,7 +1,4 @@
-"""From a put on Zenoh to the frame on the bus: chassis, gateway, and a third on the bus as witness.
-
-Witness and operator are one process, so one clock times both.
-"""
+"""From a put on Zenoh to the frame on the bus, timed by one process that is operator and witness."""
 
 from __future__ import annotations
 
@@ -48,12 +45,11 @@ def is_left(angle_raw: int) -> bool:
 
 
 def is_right(angle_raw: int) -> bool:
-    """The other way round."""
     return not is_left(angle_raw)
 
 
 class Witness:
-    """Another client of the bus, which notes when the steering and drive commands came."""
+    """Another client of the bus, which notes the time of each steering and drive command."""
 
     def __init__(self, address: str) -> None:
         self._bus = open_bus(CanSettings(interface="socketcand", channel=address))
@@ -68,7 +64,7 @@ class Witness:
         self._bus.close()
 
     def first_us(self, put_s: float, can_id: int, holds: Callable[[int], bool]) -> float:
-        """Microseconds until the first such command; its raw value is what ``holds`` is asked."""
+        """Microseconds from a put to the first such command whose raw value ``holds``."""
         place = 0
         end_s = put_s + DEADLINE_S
         while time.monotonic() < end_s:
@@ -92,11 +88,7 @@ class Witness:
 
 
 class Driver:
-    """An operator on Zenoh.
-
-    Attributes:
-        state: the newest safety/state.
-    """
+    """An operator on Zenoh."""
 
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(ZenohSettings(mode="client"), [endpoint], [])
@@ -105,7 +97,6 @@ class Driver:
         self._lease = self._sequence = 0
 
     def look(self) -> dict[str, Any]:
-        """Take the newest safety/state, if there is one."""
         sample = self._states.try_recv()
         if sample is not None:
             self.state = msgspec.msgpack.decode(sample.payload.to_bytes())
@@ -121,11 +112,10 @@ class Driver:
         raise RuntimeError(f"no reply to {verb}")
 
     def prove(self, _verb: str, _payload: bytes) -> bytes | None:
-        """The attachment of a command; in open mode none."""
+        """The attachment of a command; none in open mode."""
         return None
 
     def take(self) -> int:
-        """Take the lease. Returns its number."""
         return int(self._must("take", role="supervisor")["lease"])
 
     def _must(self, verb: str, **fields: object) -> dict[str, Any]:
@@ -135,7 +125,7 @@ class Driver:
         return reply
 
     def drive(self, speed_mps: float, angle_deg: float = 0.0) -> float:
-        """A drive command; when it was put."""
+        """Send a drive command. Returns the time of its put."""
         self._sequence += 1
         fields = {"lease": self._lease, "seq": self._sequence, "challenge": self.look()["challenge"]}
         payload = msgspec.msgpack.encode(fields | {"speed_mps": speed_mps, "angle_deg": angle_deg})
@@ -156,7 +146,7 @@ class Driver:
         return put_s
 
     def get_going(self, speed_mps: float = SPEED_MPS) -> None:
-        """From rest, whatever is latched, to a steady speed."""
+        """Reset, engage and drive at a steady speed."""
         overcome = {"no_lease", "not_engaged", "remote_stop"}
         until(lambda: self.look()["state"] == "standby" and set(self.state["blocked_by"]) <= overcome)
         self._lease, self._sequence = self.take(), 0
@@ -170,7 +160,6 @@ class Driver:
 
 
 def until(condition: Callable[[], bool], act: Callable[[], object] = bool, pause_s: float = 0.002) -> None:
-    """Act until it holds."""
     end_s = time.monotonic() + DEADLINE_S
     while not condition():
         if time.monotonic() > end_s:
@@ -180,8 +169,6 @@ def until(condition: Callable[[], bool], act: Callable[[], object] = bool, pause
 
 
 class Road(NamedTuple):
-    """What drives: the operator, who watches the bus, Zenoh's endpoint, and the gateway's process."""
-
     driver: Driver
     witness: Witness
     endpoint: str
@@ -190,7 +177,7 @@ class Road(NamedTuple):
 
 @contextmanager
 def on_the_road(*command: str, driver_at: Callable[[str], Driver] = Driver) -> Iterator[Road]:
-    """Chassis, gateway (or this command in its place), witness and operator, at the gateway's endpoint."""
+    """Chassis, gateway (or this command instead), witness and operator."""
     endpoint = free_endpoint()
     os.environ["CRUISER_GATEWAY_ACCEPT_UNGUARDED"] = "true"
     with ExitStack() as stack:
@@ -206,7 +193,7 @@ def on_the_road(*command: str, driver_at: Callable[[str], Driver] = Driver) -> I
 
 
 def rows(drives: int, stops: int, ticks: int) -> list[Row]:
-    """So many of each: from a command's put to its first frame, beside an empty put; the flow's own time."""
+    """Latency of drive commands and stops beside an empty put; processor time of the flow."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     with on_the_road() as (driver, witness, *_), empty_loop() as empty:
         drive_us = sorted(drives_us(driver, witness, drives, random))
@@ -232,7 +219,7 @@ def rows(drives: int, stops: int, ticks: int) -> list[Row]:
 
 
 def drives_us(driver: Driver, witness: Witness, count: int, random: Random) -> list[float]:
-    """So many drive commands, from the robot's rest: microseconds from each put but the first to its frame."""
+    """Drive so many times; microseconds from each put but the first to its frame."""
     found: list[float] = []
     driver.get_going()
     for number in range(count):
@@ -245,14 +232,14 @@ def drives_us(driver: Driver, witness: Witness, count: int, random: Random) -> l
 
 
 def stop_under_way_us(driver: Driver, witness: Witness, random: Random) -> float:
-    """A remote stop at a steady speed: microseconds until the chassis is told a lower one."""
+    """Stop a moving robot; microseconds until a lower speed is on the bus."""
     driver.drive(SPEED_MPS)
     time.sleep(random.uniform(0.02, 0.04))
     return witness.first_us(driver.stop(), DRIVE_ID, lambda raw: raw < SPEED_RAW)
 
 
 def measure_ticks_us(count: int) -> list[float]:
-    """Processor time of the command flow's ``tick`` and ``sent``, in this process and in simulated time."""
+    """Processor time of the flow's ``tick`` and ``sent``, in simulated time."""
     from tests.support.rigs.gateway import ready  # noqa: PLC0415 - the rig of the tests
 
     rig, operator = ready()

@@ -1,7 +1,4 @@
-"""The desk: from a pointer in a real browser to the frame on the bus, and what many robots and browsers cost.
-
-Chromium's clock and the witness's on the bus are the same machine's.
-"""
+"""The desk: from a pointer in a real browser to the frame on the bus; the cost of many robots and browsers."""
 
 from __future__ import annotations
 
@@ -49,11 +46,7 @@ FRAMES: Final = """(seconds) => new Promise((resolve) => {
 
 
 def latency(presses: int, kills: int) -> tuple[list[float], list[float], list[float]]:
-    """Press and let go again and again, then kill the browser that drives.
-
-    Returns ms, from the pointer's press to the first frame with a speed, of a robot that was driven a moment ago;
-    from its release to the first frame with a lower speed; from the death of the browser's process to the same.
-    """
+    """Press and release again and again, then kill the browser that drives; ms to the first frame for each."""
     random = Random(1)  # noqa: S311 - places between two ticks
     down_ms: list[float] = []
     up_ms: list[float] = []
@@ -78,11 +71,7 @@ def latency(presses: int, kills: int) -> tuple[list[float], list[float], list[fl
 
 
 def crowd(seconds: float) -> tuple[float, float, int, list[float]]:
-    """Many robots, and light browsers that each look at one of them.
-
-    Returns the share of a core that the desk takes, its memory in MB, the bytes over the wire of the first look at
-    the page, and the ms between two frames of the overview in Chromium.
-    """
+    """Share of a core, MB, bytes of the page, and ms between two frames, with many robots and browsers."""
     with ExitStack() as stack:
         endpoint = stack.enter_context(robots(ROBOTS))
         desk = stack.enter_context(Running("desk", "--listen", "127.0.0.1:0", "--connect", endpoint))
@@ -138,7 +127,7 @@ def _page(browser: Browser, address: str) -> Page:
 
 
 def _press(page: Page, witness: Witness, random: Random) -> tuple[float, float]:
-    """Press for a moment. Returns the times from press and release to their first frame, in ms."""
+    """Press for a moment. Returns ms from press and from release to their first frame."""
     if not is_driven(page):
         wait_ready(page)
         take_control(page)
@@ -159,7 +148,7 @@ def _press(page: Page, witness: Witness, random: Random) -> tuple[float, float]:
 
 
 def _kill(browser: Browser, page: Page, road: Road) -> float:
-    """Kill the browser's process while it drives. Returns the time until the robot slows down, in ms."""
+    """Kill the browser while it drives. Returns ms until the robot slows down."""
     hold_pad(page)
     _until_frame(road.witness, time.monotonic(), lambda raw: raw != 0)
     time.sleep(1.0)
@@ -176,7 +165,7 @@ def _kill(browser: Browser, page: Page, road: Road) -> float:
 
 
 def _until_frame(witness: Witness, since_s: float, holds: Callable[[int], bool]) -> tuple[float, int]:
-    """The time and value of the first drive frame since then for which it holds."""
+    """Time and value of the first drive frame since then for which it holds."""
     end_s = time.monotonic() + TOLD_MAX_S
     place = max(0, len(witness.seen) - 400)
     while time.monotonic() < end_s:

@@ -1,6 +1,5 @@
-"""A loop of the gateway's period and priority that puts the time on Zenoh, and does nothing else.
+"""A loop with the gateway's period and priority that only puts the time: the cost of the machine itself.
 
-It shows what the machine itself costs, with all that runs on it. The difference to it is the gateway's.
 Usage: python -m tests.bench.empty_loop ENDPOINT FILE, until SIGTERM
 """
 
@@ -25,7 +24,7 @@ PERIOD_NS = 10_000_000
 
 
 def main(endpoint: str, file: Path) -> None:
-    """Listen at the endpoint, tick and put until SIGTERM; then write the lateness of each tick, in ns."""
+    """Tick and put until SIGTERM; then write the lateness of each tick in ns."""
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())
     settings = Settings()

@@ -1,11 +1,8 @@
-"""A fleet through routers into sharded recorders: what each process takes, and whether anything is lost.
+"""A fleet through routers into sharded recorders: the load of each process, and losses.
 
-The robots' payloads and rates are a real gateway's (``recorder_load``); one process has them all, each with a
-session of its own. All appear at one instant, and speak when somebody subscribes to each of them; unlike a gateway
-they answer no query. What a link that breaks afterwards loses counts as lost. They are clients of one router, the
-recorders of the same, or of another that is linked with it. ``ZENOHD`` names Zenoh's own router, as
-``make zenohd`` builds it; without it ours runs, which is the same code behind Python. Bytes on the links are read
-with ``ss`` (iproute2), where there is one.
+One process plays all robots, each with its own session and a real gateway's payloads and rates
+(``recorder_load``). They appear at one instant, publish once somebody subscribes, and answer no query. ``ZENOHD``
+names Zenoh's own router; without it ours runs. Bytes on the links come from ``ss`` (iproute2), if it is there.
 """
 
 from __future__ import annotations
@@ -42,20 +39,14 @@ SETTLE_S: Final = 1.5
 
 
 class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
-    """What one run showed.
+    """The result of a run.
 
     Attributes:
-        robots: how many spoke.
-        profile: how much of it left each robot, one of ``schemas.settings``.
-        samples: that they said; ``recorded`` of them are in logs.
-        seconds: that it took, ``late_s`` more than the robots' pace is.
+        late_s: behind the robots' pace at the end.
         join_s: from the robots' tokens until somebody subscribed to each of them.
-        join_cpu_s: processor time of that, as ``cpu_s``.
-        dropped: samples that recorders dropped; ``missed`` those that never reached them, by their sequences.
-        cpu_s: processor time during the load: the robots' process, the routers, the recorders.
-        rss_bytes: of the routers and of the recorders.
-        sent_bytes: by the robots, and by the routers, TCP's payload; 0 where there is no ``ss``.
-        log_bytes: of all logs.
+        dropped, missed: samples that recorders dropped, and that never reached them.
+        cpu_s: of the robots' process, the routers and the recorders, during the load.
+        sent_bytes: TCP payload; 0 without ``ss``.
     """
 
     robots: int
@@ -79,11 +70,11 @@ class FleetRun(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.robots} {self.profile} robots, {routers} router{'s' * (routers > 1)}, {shards} shards"
 
     def shares(self, who: str) -> str:
-        """The part of a core that each process of a kind took."""
+        """The share of a core of each process of a kind."""
         return ", ".join(f"{one / self.seconds * 100:.0f} %" for one in self.cpu_s[who])
 
     def cost_us(self, who: str) -> float:
-        """Processor time for a sample, of all processes of a kind."""
+        """Processor time per sample, of all processes of a kind."""
         return sum(self.cpu_s[who]) * 1e6 / self.samples
 
 
@@ -143,7 +134,7 @@ def _since(begun: dict[str, list[float]], ended: dict[str, list[float]]) -> dict
 
 
 def _sent_bytes(pid: int) -> int:
-    """What the TCP connections of a process sent, acknowledged or not; 0 where there is no ``ss``."""
+    """Bytes sent on a process's TCP connections; 0 without ``ss``."""
     program = shutil.which("ss")
     if program is None:
         return 0

@@ -27,7 +27,7 @@ KEY: Final = "fleet/cruiser-1/@cmd/stranger/drive"
 
 
 def rows(floods: int) -> list[Row]:
-    """So many floods, with one remote stop in the midst of each; every tick of the gateway, the quiet ones too."""
+    """Floods with one remote stop in the middle of each."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     stop_us: list[float] = []
     rates: list[float] = []
@@ -61,7 +61,7 @@ def rows(floods: int) -> list[Row]:
 
 
 def flood(endpoint: str) -> None:
-    """Put, in bursts, from a process of its own; says when it begins, and how many a second it were."""
+    """Put in bursts; print when it begins, and the rate."""
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.DROP)
     payload = msgspec.msgpack.encode(

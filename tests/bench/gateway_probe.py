@@ -1,4 +1,4 @@
-"""``cruiser gateway`` with one thing added: each tick's lateness and processor time, written down at the end.
+"""``cruiser gateway`` that writes each tick's lateness and its processor time to a file at the end.
 
 Usage: python -m tests.bench.gateway_probe FILE [flags of cruiser gateway]
 """
@@ -20,8 +20,6 @@ CPU_S: list[float] = []
 
 
 class ProbedCore(Core):
-    """A core that remembers how late its ticks began."""
-
     def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
         LATE_NS.append(late_ns)
         CPU_S.append(time.process_time())

@@ -16,7 +16,7 @@ SIGNALS: Final = (signal.SIGKILL, signal.SIGSTOP)
 
 
 def rows(kills: int) -> list[Row]:
-    """So many kills, half of them by each signal, beside an empty loop."""
+    """Kill and hang a gateway at 2 m/s, beside an empty loop."""
     found: list[Row] = []
     for number in SIGNALS:
         with empty_loop() as empty:
@@ -32,7 +32,7 @@ def rows(kills: int) -> list[Row]:
 
 
 def _after_us(number: signal.Signals) -> float:
-    """From the last good frame to the first stop frame, both as a third party hears them."""
+    """Microseconds from the last good frame to the first stop frame, as a witness sees them."""
     with on_the_road() as road:
         until(lambda: bool(road.driver.look()["guarded"]))
         road.driver.get_going(SPEED_MPS)

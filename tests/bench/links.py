@@ -1,7 +1,4 @@
-"""What a bad link costs: a simulated robot behind each of a table of links, driven by the library's own stream.
-
-Times are simulated, so the figures are the same on every machine.
-"""
+"""The cost of a bad link: a simulated robot driven by the library's own stream, in simulated time."""
 
 from __future__ import annotations
 

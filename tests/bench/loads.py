@@ -18,7 +18,6 @@ Row = tuple[str, str, str]
 
 
 def rows(seconds: float, vcan: str = "") -> list[Row]:
-    """Both loads, on a SocketCAN interface or on the socketcand protocol."""
     return [
         row
         for name, frames_per_s, goal_ms in LOADS
@@ -27,7 +26,7 @@ def rows(seconds: float, vcan: str = "") -> list[Row]:
 
 
 def vcan_rows(seconds: float) -> list[Row]:
-    """The loads once more on a vcan, where the kernel has one and we may make it; in user-mode Linux it has."""
+    """Both loads on a vcan, if the kernel has one and we may make it."""
     with _vcan() as interface:
         return rows(seconds, interface) if interface else [("loads of a vcan", "no vcan here", "")]
 
@@ -60,7 +59,7 @@ def print_table(rows: list[Row]) -> None:
 def beside(
     ours_us: list[float], empty_us: list[float], shares: tuple[float, ...], judged: float
 ) -> tuple[str, str, str]:
-    """Ours and an empty loop's at these shares, and the difference at the one that is judged, in words."""
+    """Our quantiles, an empty loop's, and the difference at the judged share."""
     difference_ms = (quantile(ours_us, judged) - quantile(empty_us, judged)) / 1000
     place = "the longest" if judged == 1 else f"p{judged * 100:g}"
     return _ms(ours_us, shares), _ms(empty_us, shares), f"{difference_ms:.2f} ms at {place}"

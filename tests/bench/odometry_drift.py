@@ -1,7 +1,7 @@
-"""Drift of the odometry against the virtual chassis's true pose: ``python -m tests.bench odometry``.
+"""Drift of the odometry against the virtual chassis's true pose.
 
 The virtual chassis follows the bicycle model without slip, so this is the error of rounding, sampling and
-integration alone. What tyres add on a real floor is not in it.
+integration.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TRIPS: Final = {
 
 
 class Drift(msgspec.Struct, frozen=True):
-    """Drift of one trip: of the way, in metres; off its place, in metres; off its heading, in degrees."""
+    """Drift of one trip: metres driven, metres off, degrees off."""
 
     way_m: float
     off_m: float
@@ -33,7 +33,6 @@ class Drift(msgspec.Struct, frozen=True):
 
 
 def measure(variant: Variant, trip: str, seconds: float) -> Drift:
-    """Drive a trip, and compare the last pose with the true one."""
     rig, operator = ready(variant)
     operator.engage()
     for speed_mps, angle_deg, share in TRIPS[trip]:
@@ -46,7 +45,7 @@ def measure(variant: Variant, trip: str, seconds: float) -> Drift:
 
 
 def rows(seconds: float) -> list[Row]:
-    """The greatest drift of all trips, for 100 m, by the scale of the speeds."""
+    """The greatest drift of all trips per 100 m, by the scale of the speeds."""
     table = []
     for variant in (Variant.FINE, Variant.COARSE):
         trips = {trip: measure(variant, trip, seconds) for trip in TRIPS}

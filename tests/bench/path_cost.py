@@ -1,9 +1,7 @@
-"""What a frame costs on its way to Zenoh: our path against the one that a user would write first.
+"""Cost of a frame on its way to Zenoh: our path against cantools, json.dumps and session.put.
 
-All take the same frames from the same bus, on the same machine, in turns, with the same subscriber connected over
-TCP. The peer: cantools decodes, json.dumps writes, session.put sends. Our path checks, supervises, decodes and
-publishes; it is measured alone, and with all else that the gateway makes of the frames: raw batches, state,
-health. Two parts of it are measured by themselves: the core's, and Zenoh's.
+Both take the same frames in turns, with the same subscriber over TCP. Ours also checks and supervises; it is
+measured alone, and with raw batches, state and health.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ sys.stdin.read()
 
 
 def rows(rounds: int) -> list[Row]:
-    """Both in turns: process time of all threads, in us for a frame; medians, and of the ratios."""
+    """Processor time per frame of all threads, in us; medians of paired rounds."""
     endpoint = free_endpoint()
     session = open_session(ZenohSettings(), [], [endpoint])
     subscriber = subprocess.Popen(
@@ -117,7 +115,7 @@ def rows(rounds: int) -> list[Row]:
 
 
 class BurstyBus:
-    """Gives frames as a chassis sends them: some every 10 ms, then none for a while. Nobody waits for it."""
+    """Frames as a chassis sends them: some every 10 ms, then none for a while."""
 
     is_up = True
     detail = ""
@@ -129,21 +127,20 @@ class BurstyBus:
         self._burst_ns = -1
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame; with no time to wait, only if it belongs to the burst of the one before."""
+        """The next frame; without a timeout, only if it belongs to the same burst."""
         if not self._frames or (timeout_s == 0 and self._frames[0][0] != self._burst_ns):
             return None
         self._burst_ns, frame = self._frames.popleft()
         return frame
 
     def send(self, frames: list[Frame]) -> int:
-        """Nobody engages here, so there is nothing to send."""
         return len(frames)
 
 
 def run_ours(
     frames: list[tuple[int, Frame]], core: Core, node: ZenohNode, begin_ns: int, *, with_ticks: bool
 ) -> None:
-    """Our path at the pace of the processor: a burst of frames, then the tick of its 10 ms, as in the loop."""
+    """Our path at full speed: a burst of frames, then the tick of its 10 ms, as in the loop."""
     gc.disable()
     bus = BurstyBus(frames)
     reader = Reader(LoopPorts(bus, node), core)

@@ -31,26 +31,20 @@ WATCHED = BY_NAME["chassis/gear"]
 
 
 class Empty(msgspec.Struct):
-    """What an empty loop of the gateway's period and priority showed on the same machine at the same time.
-
-    Attributes:
-        lateness_us: of every tick of it, sorted.
-        put_us: from each of its puts to a subscriber's callback, sorted.
-    """
+    """Lateness of an empty loop's ticks, and times of its puts to a subscriber, on the same machine; sorted."""
 
     lateness_us: list[float] = []
     put_us: list[float] = []
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What one run at one load showed.
+    """The result of one run.
 
     Attributes:
-        frames: raw frames in the log; ``lost`` of them missing by the alive counters, ``missed`` samples.
-        gateway_cpu_percent, gateway_cpu_us: of one core, and for a frame: the whole process.
+        frames, lost, missed: raw frames in the log, frames missing by the alive counters, samples missing.
+        gateway_cpu_percent, gateway_cpu_us: of one core, and per frame: the whole process.
         latency_us: from the chassis's send to the subscriber's callback, sorted.
-        lateness_us: of every tick of the gateway, sorted.
-        empty: of an empty loop meanwhile.
+        lateness_us: of each of the gateway's ticks, sorted.
     """
 
     frames_per_s: float
@@ -70,13 +64,7 @@ def quantile(values: list[float], share: float) -> float:
 
 
 def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
-    """Run the three for this long, after a warm-up, and read the log.
-
-    Args:
-        frames_per_s: of the chassis.
-        seconds: without the warm-up.
-        vcan: a SocketCAN interface that is up; without one the bus is the socketcand protocol over loopback.
-    """
+    """Run chassis, gateway and recorder after a warm-up, and read the log; without vcan over socketcand."""
     endpoint = free_endpoint()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -128,7 +116,7 @@ def run_load(frames_per_s: float, seconds: float, vcan: str = "") -> Load:
 
 @contextmanager
 def empty_loop() -> Iterator[Empty]:
-    """Run an empty loop meanwhile; what it showed is there afterwards."""
+    """Run an empty loop meanwhile; its figures are there at the end."""
     empty = Empty()
     endpoint = free_endpoint()
 
@@ -159,16 +147,13 @@ def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callba
 
 
 def served_chassis(stack: ExitStack, *words: str) -> str:
-    """A virtual chassis; where its bus is."""
+    """Start a virtual chassis. Returns the address of its bus."""
     ready = start(stack, ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", *words], "sim: ")[1]
     return "127.0.0.1:" + ready.partition("127.0.0.1:")[2].split()[0].rstrip(",;.")
 
 
 def start(stack: ExitStack, words: list[str], ready: str) -> tuple[subprocess.Popen[str], str]:
-    """A process of ours, once it has said this. Returns it and that line; it ends with the stack.
-
-    It may drive fast without real-time priority, and leaves no latch behind.
-    """
+    """Start a process; it, and its first line that begins so. It ends with the stack."""
     process = subprocess.Popen(
         [sys.executable, *words],
         stdin=subprocess.DEVNULL,

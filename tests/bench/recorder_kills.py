@@ -32,13 +32,13 @@ JOINING = 20
 
 
 class Kills(msgspec.Struct, frozen=True):
-    """What the kills cost.
+    """The cost of the kills.
 
     Attributes:
-        lost_ms: for each kill, from the publish time of the last message in its log to the kill.
-        lost: messages for each kill; ``sent`` is how many there were while a recorder was there.
-        holes: messages missing between the first few and the last one of a log; ``doubled`` are in two.
-        left: parts that the starts in between had not made whole: that of the last kill, and perhaps one more.
+        lost_ms: for each kill, from the last message in its log to the kill.
+        lost, sent: messages lost in each kill, and all that were sent to a recorder.
+        holes, doubled: messages missing inside a log; in two logs.
+        left: parts that the later starts had not recovered.
         not_whole: logs that are not whole in the end.
     """
 
@@ -52,8 +52,6 @@ class Kills(msgspec.Struct, frozen=True):
 
 
 class _Publisher:
-    """Publishes gear messages, one sequence for all, until the end."""
-
     def __init__(self, endpoint: str) -> None:
         self.next = 0
         self._peer = Peer(endpoint)
@@ -76,7 +74,7 @@ class _Publisher:
 
 
 def measure(kills: int, directory: Path, seed: int = 1) -> Kills:
-    """Start and kill recorders, one after the other, on one directory; then read all that they left."""
+    """Kill recorders one after the other on one directory; then read all logs."""
     chooser = random.Random(seed)  # noqa: S311 - reproducible, not secret
     endpoint = free_endpoint()
     ends: list[tuple[int, int]] = []
@@ -103,7 +101,7 @@ def _is_writing(directory: Path, before: set[Path]) -> bool:
 
 
 def _count(directory: Path, ends: list[tuple[int, int]], left: int) -> Kills:
-    """Each log ends before its kill: compare what is in it with what had been sent by then."""
+    """Compare each log with what had been sent by its kill."""
     logs: list[dict[int, int]] = []
     for path in directory.glob("*.mcap"):
         with path.open("rb") as stream:

@@ -1,8 +1,7 @@
-"""The load of the recorder's bench: robots that say over Zenoh what a driving robot says, at its rates.
+"""The load of the recorder's bench: robots that publish what a driving robot publishes, at its rates.
 
-What one robot says in eight seconds is made once, by the gateway's core. Each robot then repeats it from another
-place on, with times and sequences of its own, so that no two say the same and a loss can be seen. Nothing is
-dropped on this side: a put waits for room, and whoever measures is told whether the pace was held.
+The gateway's core makes eight seconds once. Each robot repeats them from its own offset with its own times and
+sequences, so that a loss shows. A put waits for capacity, and the load reports whether it held the pace.
 
 Usage: python -m tests.bench.recorder_load ENDPOINT --robots N --ticks N [--paced] [--profile P] [--client]
 """
@@ -61,13 +60,7 @@ _MAP16: Final = 0xDE
 
 
 class Said(msgspec.Struct, frozen=True, gc=False):
-    """One sample of a robot: all of its payload but time and sequence.
-
-    Attributes:
-        subject: its place in ``Script.subjects``.
-        records: how many records of a log it is: one for each raw frame of a batch.
-        head, tail: the payload before and after.
-    """
+    """One sample: the payload before and after time and sequence, and its number of log records."""
 
     subject: int
     records: int
@@ -76,7 +69,7 @@ class Said(msgspec.Struct, frozen=True, gc=False):
 
 
 class Script(msgspec.Struct, frozen=True):
-    """What a robot says, tick by tick, and how much that is in a second."""
+    """A robot's samples, tick by tick."""
 
     subjects: list[str]
     slots: list[list[Said]]
@@ -87,18 +80,11 @@ class Script(msgspec.Struct, frozen=True):
 
     @property
     def records_per_s(self) -> float:
-        """Records that a log of them has."""
         return sum(said.records for slot in self.slots for said in slot) / SECONDS_OF_FRAMES
 
 
 class Fed(msgspec.Struct, frozen=True):
-    """What was published.
-
-    Attributes:
-        samples, records: that were put, and the records of a log that they make.
-        begin_ns, end_ns: since 1970.
-        late_s: how far behind the robots' pace the load was at its end; 0 if it was to have none.
-    """
+    """What was published; ``late_s`` is how far behind the robots' pace it ended."""
 
     samples: int
     records: int
@@ -108,11 +94,7 @@ class Fed(msgspec.Struct, frozen=True):
 
 
 def make_script(profile: str = FULL) -> Script:
-    """Have the gateway's core say what it says of a chassis that somebody drives by hand.
-
-    Args:
-        profile: how much of it leaves the robot, one of ``schemas.settings``.
-    """
+    """Let the gateway's core publish a drive, with one of the profiles of ``schemas.settings``."""
     rates = PROFILES[profile]
     subjects = [
         name for name in BY_NAME if BY_NAME[name].pattern is Pattern.PUBLISHED and rates.get(name, math.inf)
@@ -140,7 +122,7 @@ def make_script(profile: str = FULL) -> Script:
 
 
 def _frames() -> Iterator[Frame]:
-    """What a chassis sends that goes faster and slower and to both sides, with the noise of its sensors."""
+    """Feedback of a chassis that changes speed and direction, with sensor noise."""
     noise = random.Random(1)  # noqa: S311 - reproducible, not secret
     feedback, layout = Feedback(Variant.COARSE), load(Variant.COARSE)
     travelled_m = 0.0
@@ -182,7 +164,7 @@ def _said(sample: Sample, subject: int) -> Said:
 
 
 def appear(sessions: Sequence[zenoh.Session], robots: int) -> list[zenoh.LivelinessToken]:
-    """Let the robots appear: each is there as long as its token is kept."""
+    """Declare the robots' tokens."""
     return [
         sessions[robot % len(sessions)].liveliness().declare_token(keys.liveliness(ROOT, _name(robot)))
         for robot in range(robots)
@@ -190,19 +172,7 @@ def appear(sessions: Sequence[zenoh.Session], robots: int) -> list[zenoh.Livelin
 
 
 def declare(sessions: Sequence[zenoh.Session], script: Script, robots: int) -> list[list[zenoh.Publisher]]:
-    """Declare what the robots publish, and wait until somebody subscribes to each of them.
-
-    Args:
-        sessions: the robots' own, or one for all of them.
-        script: what they will say.
-        robots: how many.
-
-    Returns:
-        Each robot's publishers, in the order of the script's subjects.
-
-    Raises:
-        TimeoutError: nobody subscribes.
-    """
+    """Declare each robot's publishers, in the script's order, and wait until each has a subscriber."""
     publishers = [
         [_publisher(sessions[robot % len(sessions)], robot, name) for name in script.subjects]
         for robot in range(robots)
@@ -218,7 +188,7 @@ def declare(sessions: Sequence[zenoh.Session], script: Script, robots: int) -> l
 
 
 def feed(publishers: Sequence[Sequence[zenoh.Publisher]], script: Script, ticks: int, *, is_paced: bool) -> Fed:
-    """Have the robots say what they say in so many ticks: at their pace, or as fast as it is taken."""
+    """Publish so many ticks of all robots, at their pace or as fast as possible."""
     robots = len(publishers)
     begin_ns = time.time_ns()
     begin_s = time.monotonic()
@@ -265,7 +235,7 @@ def _publisher(session: zenoh.Session, robot: int, name: str) -> zenoh.Publisher
 
 
 def main() -> None:
-    """At a line of the input let the robots appear, at the next one publish; leave when the input ends."""
+    """At a line of input declare the robots, at the next publish; end with the input."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("endpoint")
     parser.add_argument("--robots", type=int, required=True)

@@ -1,12 +1,9 @@
-"""What others would write instead of the recorder: the same subscriber, and a writer from the package index.
+"""Other writers behind the same subscriber: one protobuf record per sample, one per raw frame of a batch.
 
-Each takes samples from a ring channel as the recorder does, decodes them, and writes one protobuf record for each,
-one for each raw frame of a batch:
+- ``plain``: the recorder's decoding and transcoding, the Writer of mcap
+- ``foxglove``: the same, with the compiled writer of foxglove-sdk
 
-- ``plain``: the recorder's own decoding and transcoding, the Writer of mcap
-- ``foxglove``: the same, the writer of foxglove-sdk, which is compiled
-
-None counts losses, syncs the disk, asks for what it missed, or keeps what it does not know.
+Neither counts losses, syncs the disk, asks for missed samples, or stores unknown ones.
 
 Usage: python -m tests.bench.recorder_peers KIND ENDPOINT FILE QUEUE_SAMPLES
 """
@@ -49,16 +46,11 @@ Add = Callable[[int, bytes, int, int], None]
 
 
 def has_foxglove() -> bool:
-    """Whether foxglove-sdk is installed."""
     return find_spec("foxglove") is not None
 
 
 def write_transcoded(channel: Callable[[str, type], Add]) -> Write:
-    """Decode and transcode as the recorder does; records go to the channel of their key.
-
-    Args:
-        channel: makes the channel of a key, whose records are of this class.
-    """
+    """Decode and transcode as the recorder does; ``channel`` makes the channel of a key and class."""
     routes: dict[str, tuple[Subject, Callable[[Any], bytes], Add]] = {}
     encode_row: Callable[..., bytes] = compile_row_encoder(CanFrame)
     encoder = cache(compile_encoder)
@@ -87,7 +79,7 @@ def _subject(key: str) -> Subject:
 
 
 def _rows(batch: CanFrames) -> list[tuple[Any, ...]]:
-    """The values of a CanFrame for each frame of a batch, in order."""
+    """The fields of a CanFrame for each frame of a batch, in order."""
     bus = batch.bus
     return [
         (
@@ -110,7 +102,6 @@ def _rows(batch: CanFrames) -> list[tuple[Any, ...]]:
 
 
 def plain(stack: ExitStack, path: Path) -> Write:
-    """The Writer of mcap."""
     writer = Writer(stack.enter_context(path.open("wb")))
     writer.start()
     stack.callback(writer.finish)
@@ -128,7 +119,7 @@ def plain(stack: ExitStack, path: Path) -> Write:
 
 
 def foxglove(stack: ExitStack, path: Path) -> Write:
-    """The writer of foxglove-sdk: it takes neither sequence nor time of publication."""
+    """The writer of foxglove-sdk; it takes neither sequence nor publish time."""
     from foxglove import Channel, Schema, open_mcap  # noqa: PLC0415 - it need not be installed
 
     stack.enter_context(open_mcap(path))

@@ -1,16 +1,9 @@
-"""How much the recorder takes, against what others would write behind the same subscriber.
+"""The recorder against other writers behind the same subscriber.
 
-All receivers are fed in turns, over Zenoh on loopback TCP, with what ten driving robots say, faster than they
-write. None may lose anything. Counted are records of a log, a raw CAN frame being one, and
-
-- how many a second leave a full queue, once the load has ended and the receiver has the machine to itself: by the
-  growth of its logs, so what it still holds back at that moment counts as written after it, a few per cent;
-- how many a second it takes from the first sample to the last, the load on the same machine meanwhile;
-- the processor time for each, of the whole process: Zenoh's threads, compression and the end of the log included;
-- its bytes in the log.
-
-Then robots at their own pace, ever more, with the queue that the recorder has by itself: how many it holds without
-loss, at most one core, and without falling behind; and how its memory does at 60 % of that.
+All are fed in turns over Zenoh on loopback with what ten driving robots publish, faster than they write, and none
+may lose anything. Figures per log record, a raw CAN frame being one: records/s from a full queue once the load has
+ended (by the growth of the logs), records/s with the load beside, processor time of the whole process, bytes in
+the log. Then robots at their own pace: how many the recorder holds without loss, and its memory at 60 % of that.
 """
 
 from __future__ import annotations
@@ -46,14 +39,12 @@ GOALS: Final = {"plain": "2 x", "foxglove": "level"}
 
 
 class Held(msgspec.Struct, frozen=True):
-    """How many robots were held, and the run that showed it."""
-
     robots: int
     run: Run
 
 
 def compare(rounds: int) -> dict[str, list[Run]]:
-    """Feed each receiver once a round, ours first or last in turns; what each showed."""
+    """Feed each receiver once a round, ours first or last in turns."""
     receivers = [OURS, *(kind for kind in WRITERS if kind != "foxglove" or has_foxglove())]
     runs: dict[str, list[Run]] = {receiver: [] for receiver in receivers}
     for number in range(rounds):
@@ -65,7 +56,7 @@ def compare(rounds: int) -> dict[str, list[Run]]:
 
 
 def find_held(seconds: float, guess: int) -> Held | None:
-    """The most robots at their own pace that the recorder holds for so long, to within a few per cent."""
+    """The most robots at their own pace that the recorder holds, to within a few per cent."""
     held: Held | None = None
     too_many: int | None = None
     robots = guess
@@ -113,7 +104,7 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
 
 
 def _compared(runs: dict[str, list[Run]]) -> list[Row]:
-    """Ours and each peer's; ratios are medians of those of each round, and more than 1 where ours is better."""
+    """Ours and each peer's; ratios are medians over the rounds, and above 1 where ours is better."""
     return [
         *_figure(runs, FROM_QUEUE, lambda one: one.per_s, "{:,.0f}/s", is_rate=True),
         *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),

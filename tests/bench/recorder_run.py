@@ -1,8 +1,7 @@
-"""One run of the recorder's bench: the load, one receiver, and what the receiver wrote and used.
+"""One run of the recorder's bench: the load, one receiver, and what it wrote and used.
 
-The receiver's processor time is that of its whole process, Zenoh's threads included, from the first sample to its
-end. What it wrote is read from its logs. When it had done is seen by its processor time, not by the log times: a
-receiver may note the receipt long before it writes.
+Processor time is that of the receiver's whole process from the first sample on. Its end is seen by its processor
+time, since a receiver may note the receipt long before it writes.
 """
 
 from __future__ import annotations
@@ -51,16 +50,13 @@ DRAIN_MIN_S: Final = 0.3
 
 
 class Run(msgspec.Struct, frozen=True):
-    """What one run showed.
+    """The result of a run.
 
     Attributes:
-        fed: what was published.
-        written: records in the logs; ``lost`` are those that should be there too.
-        cpu_s: of the receiver's process.
+        written, lost: records in the logs, and missing there.
         wall_s: from the first sample to the receiver's last work.
-        lag_s: from the publisher's end to it.
+        lag_s: from the publisher's end to that.
         drain_per_s: records a second in that time, by the growth of the logs.
-        bytes: of the logs.
         rss_bytes: of the receiver's process, each second.
     """
 
@@ -80,12 +76,11 @@ class Run(msgspec.Struct, frozen=True):
 
     @property
     def per_s(self) -> float:
-        """Records a second from a full queue; with the load at work meanwhile, if the receiver holds its pace."""
+        """Records a second from a full queue, or with the load beside if the receiver keeps pace."""
         return self.drain_per_s if self.lag_s > DRAIN_MIN_S else self.loaded_per_s
 
     @property
     def loaded_per_s(self) -> float:
-        """Records a second, with the load at work for most of the time."""
         return self.written / self.wall_s
 
     @property
@@ -94,15 +89,7 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
-    """Feed a receiver once.
-
-    Args:
-        receiver: OURS or one of ``recorder_peers.WRITERS``.
-        robots: how many speak.
-        ticks: of 10 ms each.
-        is_paced: at the robots' pace, and with the queue that a recorder has by itself; else as fast as it is
-            taken, and nothing is too much to wait.
-    """
+    """Feed a receiver for so many ticks of 10 ms: at the robots' pace, or as fast as possible."""
     endpoint = free_endpoint()
     load = ["-m", "tests.bench.recorder_load", endpoint, "--robots", str(robots), "--ticks", str(ticks)]
     queue = {} if is_paced else {"CRUISER_RECORDER_QUEUE_BYTES": str(QUEUE_BYTES)}
@@ -150,7 +137,7 @@ def _log_bytes(folder: Path) -> int:
 
 
 def _records(path: Path) -> int:
-    """Records of a log, but for what its writer says of itself."""
+    """Records of a log, without the writer's own."""
     own: set[int] = set()
     counts: dict[int, int] = {}
     with path.open("rb") as stream:
@@ -164,7 +151,7 @@ def _records(path: Path) -> int:
 
 @contextmanager
 def started(words: list[str], load_s: float, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """A process of ours, which is ended after a while whatever happens."""
+    """A process that is killed when its time is over."""
     process = subprocess.Popen(
         words,
         stdin=subprocess.PIPE,
@@ -195,7 +182,7 @@ def answer(process: subprocess.Popen[str]) -> str:
 
 
 def go_on(process: subprocess.Popen[str]) -> str:
-    """Have it take its next step; what it says when that is done."""
+    """Let it take its next step. Returns its next line."""
     assert process.stdin is not None
     process.stdin.write("go\n")
     process.stdin.flush()
@@ -203,7 +190,7 @@ def go_on(process: subprocess.Popen[str]) -> str:
 
 
 def await_ready(process: subprocess.Popen[str]) -> list[str]:
-    """Until it receives. Returns what it says, then and later."""
+    """Wait until it receives. Returns its lines on stderr, then and later."""
     assert process.stderr is not None
     said = []
     for line in process.stderr:
@@ -221,7 +208,7 @@ def _listen(stream: IO[str], said: list[str]) -> None:
 
 
 class _Watch:
-    """Watches a process from outside: when it was last at work, and how much memory it has."""
+    """Notes when a process was last busy, and its memory."""
 
     def __init__(self, pid: int) -> None:
         self.busy_ns = 0
@@ -261,7 +248,7 @@ class _Watch:
                 self.rss_bytes.append(rss_bytes(self._pid))
 
     def _ran_ns(self) -> int:
-        """Processor time of all its threads: that of ``stat`` is too coarse for so short a while."""
+        """Processor time of all threads; that of ``stat`` is too coarse."""
         ran_ns = 0
         for path in self._proc.glob("task/*/schedstat"):
             # A thread may have ended since.

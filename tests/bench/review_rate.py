@@ -1,7 +1,6 @@
-"""The review on a large log: seconds and memory of the questions.
+"""The review on a large log: seconds and memory of each question in a process of its own.
 
-The log is a minute in which much happens (two operators, faults, stops), written again and again behind itself,
-each time a minute later. Each question is a process of its own.
+The log is a minute with two operators, faults and stops, repeated.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ QUESTIONS: Final[dict[str, list[str]]] = {
 
 
 class Asked(msgspec.Struct, frozen=True):
-    """What a question cost: seconds, processor time, and the most memory that its processes had."""
+    """Cost of a question: seconds, processor time, peak memory of its processes."""
 
     seconds: float
     cpu_s: float
@@ -76,13 +75,12 @@ def ask(words: list[str], directory: Path) -> Asked:
 
 
 def _children_cpu_s() -> float:
-    """The processor time of all processes that this one has begun and waited for, and of those that these have."""
     used = getrusage(RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def _peak_kb(pid: int) -> int:
-    """The most memory that a process has had, and those that it has begun; 0 if it has ended."""
+    """Peak memory of a process and its children; 0 if it has ended."""
     with suppress(OSError):
         status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
         own_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")), 0)
@@ -101,7 +99,7 @@ def _children(pid: int) -> list[int]:
 
 
 def write_log(path: Path, size: int) -> int:
-    """Writes a log of at least this size. Returns how many messages it holds."""
+    """Write a log of at least this size. Returns its number of messages."""
     minute = _minute()
     topics = {row.topic.name: row.topic for row in minute}
     ids = {name: number for number, name in enumerate(topics, start=1)}
@@ -131,7 +129,7 @@ def _minute() -> list[LogRow]:
 
 
 def _repeated(minute: list[LogRow], path: Path, size: int) -> Iterator[LogRow]:
-    """The same minute again and again, each time later, until the file is long enough."""
+    """The same minute again and again, each time later."""
     spans = {row.topic.name: row.sequence + 1 for row in minute}
     turn = 0
     while path.stat().st_size < size:

@@ -1,7 +1,4 @@
-"""The speed at which a log is run again, reading and comparing included, in one process.
-
-Wall time says what somebody waits, and depends on what else the machine does; processor time much less so.
-"""
+"""Speed of a rerun, reading and comparing included, in one process: wall time and processor time."""
 
 from __future__ import annotations
 
@@ -18,7 +15,6 @@ from tests.support.rigs.gateway import Operator
 
 
 def rows(minutes: float, robots: Sequence[str]) -> list[Row]:
-    """How many times faster than real time the logs of these robots are run again."""
     return [row for robot in robots for row in rerun_rows(robot, minutes)]
 
 
@@ -39,17 +35,17 @@ def _figures(asked: Asked, minutes: float) -> str:
 
 
 def driven(minutes: float) -> bytes:
-    """The log of a robot that is driven all the time, in bends and with a stop every minute."""
+    """A robot that is driven all the time, in bends, with a stop every minute."""
     return drive(round(minutes), 4)
 
 
 def alternating(minutes: float) -> bytes:
-    """The log of a robot that is driven for one minute, and stands by for the next."""
+    """A robot that is driven every other minute."""
     return drive(round(minutes / 2), 66)
 
 
 def drive(times: int, pause_s: float) -> bytes:
-    """The log of a robot that is driven some times, each for a minute and with a pause behind it."""
+    """A log of drives of a minute each, with pauses between them."""
     day = Day(1, Variant.FINE, ticks=0)
     rig = day.rig
     rig.run(0.6)

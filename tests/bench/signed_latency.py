@@ -27,7 +27,7 @@ ROOT, ROBOT, NAME = "fleet", "cruiser-1", "bench"
 
 
 class SignedDriver(Driver):
-    """An operator who proves what it sends. What it hears it believes: only the way to the bus counts."""
+    """An operator who signs; it verifies nothing that it receives."""
 
     def __init__(self, endpoint: str, proof: OperatorProof) -> None:
         super().__init__(endpoint)
@@ -63,8 +63,6 @@ class SignedDriver(Driver):
 
 
 class Keys:
-    """Keys and grants of a robot and an operator, below a directory."""
-
     def __init__(self, directory: Path) -> None:
         fleet, robot, self._operator = Fleet(), Party(ROBOT), Party(NAME)
         now_s = int(time.time())
@@ -83,7 +81,7 @@ class Keys:
 
 
 def measure(turns: int, drives: int) -> list[tuple[list[float], list[float]]]:
-    """Of each turn, open and signed: microseconds from put to frame, sorted. They begin alternately."""
+    """Of each turn, open and signed: microseconds from put to frame, sorted."""
     found: list[tuple[list[float], list[float]]] = []
     with tempfile.TemporaryDirectory() as directory:
         keys = Keys(Path(directory) / "keys")

@@ -1,10 +1,7 @@
-"""Memory and start of a robot's processes in open mode: ``python -m tests.bench start``.
+"""Memory and start of a robot's processes in open mode.
 
-Resident memory is read from ``smaps_rollup``: all of it, and the anonymous pages, which are its own. Beside
-it stands an interpreter that has only opened a Zenoh session: none of them can take less.
-
-The first sample is timed from the start of the gateway's process to the callback of a session that it connects to.
-The virtual chassis runs already, and the files are in the system's cache.
+Memory is that of ``smaps_rollup``, beside an interpreter that has only opened a Zenoh session. The first sample is
+timed from the gateway's start to a subscriber's callback; the chassis runs, and the files are cached.
 """
 
 from __future__ import annotations
@@ -43,26 +40,20 @@ time.sleep(3600)
 
 
 class Start(msgspec.Struct, frozen=True):
-    """One start of a gateway.
-
-    Attributes:
-        first_s: until its first sample.
-        cpu_s: of all its threads until then.
-    """
+    """Seconds until the first sample, and processor time of all threads until then."""
 
     first_s: float
     cpu_s: float
 
 
 class Memory(msgspec.Struct, frozen=True):
-    """Memory of a process in MiB: resident, and of that the anonymous pages."""
+    """Memory in MiB: resident, and the anonymous pages in it."""
 
     resident: float
     own: float
 
 
 def measure_starts(starts: int) -> list[Start]:
-    """Start a gateway as often as this, one after the other."""
     with ExitStack() as stack:
         bus = _chassis(stack)
         return [_start_once(bus) for _ in range(starts)]
@@ -90,7 +81,7 @@ def _start_once(bus: list[str]) -> Start:
 
 
 def measure_memory(seconds: float) -> dict[str, Memory]:
-    """Gateway, guard and recorder of one robot at rest after so long; and an interpreter with a session."""
+    """Memory of gateway, guard and recorder at rest, and of an interpreter with a session."""
     endpoint = free_endpoint()
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
@@ -107,7 +98,7 @@ def measure_memory(seconds: float) -> dict[str, Memory]:
 
 
 def _chassis(stack: ExitStack) -> list[str]:
-    """A virtual chassis; the flags of a gateway on its bus."""
+    """Start a virtual chassis. Returns a gateway's flags for its bus."""
     return ["--interface", "socketcand", "--channel", served_chassis(stack), "--variant", "coarse"]
 
 
@@ -118,7 +109,6 @@ def _memory(pid: int) -> Memory:
 
 
 def rows(starts: int, seconds: float) -> list[Row]:
-    """Measure both, as rows of the table."""
     goals = {"gateway": "45 MiB", "its guard": "30 MiB", "recorder": "45 MiB"}
     names = {"idle": "an interpreter with a Zenoh session"}
     found = measure_memory(seconds)

@@ -1,7 +1,4 @@
-"""Export and rerun over a Ray cluster of two nodes, both on this machine's loopback.
-
-``make test-cluster`` runs it: Ray has an environment of its own.
-"""
+"""Export and rerun on a Ray cluster of two nodes on this machine's loopback (``make test-cluster``)."""
 
 import json
 import os
@@ -35,13 +32,13 @@ NAME = "cruiser-1-20260102T030405Z.mcap"
 
 
 def environment(home: Path) -> dict[str, str]:
-    """What Ray's processes are started with: nothing is reported to its makers."""
+    """The environment of Ray's processes, without usage statistics."""
     return {**os.environ, "RAY_USAGE_STATS_ENABLED": "0", "HOME": str(home), "PATH": f"{RAY}:{os.environ['PATH']}"}
 
 
 @contextmanager
 def node(home: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A node, until the end: its processes end with the one that was started here."""
+    """A node and its processes, until the end."""
     common = ["--block", "--num-cpus", "1", "--object-store-memory", "100000000", "--disable-usage-stats"]
     with (home / f"{len(list(home.iterdir()))}.log").open("wb") as output:
         process = subprocess.Popen(
@@ -119,7 +116,6 @@ def python(script: str, *words: object, timeout_s: float = WITHIN_S) -> subproce
 def review(
     *words: object, cwd: Path | None = None, timeout_s: float = WITHIN_S
 ) -> subprocess.CompletedProcess[str]:
-    """A question to logs, in the environment of Ray."""
     command = [str(RAY / "cruiser"), "review", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s, cwd=cwd)
 
@@ -161,7 +157,7 @@ def test_ten_thousand_small_logs_become_the_dataset_that_one_process_makes(clust
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The log of a robot that is driven for twelve seconds, its speed changed twice."""
+    """The log of a robot that is driven for twelve seconds, with two changes of speed."""
     rig = RecordedRig(Variant.COARSE)
     rig.run(0.6)
     operator = Operator(rig)
@@ -213,7 +209,7 @@ print(*((notes / f"{number:05}.mcap").read_text() for number in range(10)))
 
 
 def ten(directory: Path) -> None:
-    """Ten small logs, their dataset, and a place where tasks write how often they were begun."""
+    """Ten small logs, their dataset, and a directory in which tasks count their starts."""
     write_logs(directory / "logs", 10)
     (directory / "notes").mkdir()
     done = review("export", "-o", directory / "here", directory / "logs")

@@ -1,7 +1,7 @@
-"""What the Containerfile says, done in a directory, and what compose.yaml runs, as a user who is not root.
+"""The Containerfile's steps in a directory, and compose.yaml's commands, as a user who is not root.
 
-No engine is needed, and none is replaced: namespaces, volumes and base images are not tried. ``make test-image``
-runs it with the Python of .venv-tools, which has a YAML parser.
+No engine is needed: namespaces, volumes and base images are not tried. ``make test-image`` runs it with the Python
+of .venv-tools, which has a YAML parser.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ pytestmark = pytest.mark.timeout(900)
 
 
 def test_every_service_is_what_compose_takes() -> None:
-    """Names that it refers to are there, and what it writes to is a volume or a tmpfs: the rest is read-only."""
+    """Its names exist; it writes to volumes and tmpfs alone."""
     volumes = {name for name, said in COMPOSE["volumes"].items() if said is None}
     for name, said in SERVICES.items():
         assert (ROOT / "deploy" / said["build"]["context"] / said["build"]["dockerfile"]).is_file()
@@ -70,7 +70,7 @@ def test_every_service_is_what_compose_takes() -> None:
 
 @pytest.fixture(scope="module")
 def place() -> Iterator[Path]:
-    """A directory that everybody can reach, unlike pytest's own."""
+    """A directory that every user can reach, unlike pytest's own."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         yield Path(folder)
@@ -78,7 +78,7 @@ def place() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def image(place: Path) -> Path:
-    """The environment that the first stage makes, with the Python of these tests instead of the base image's."""
+    """The environment of the first stage, with this test's Python."""
     work = place / "build"
     work.mkdir()
     for instruction, words in STAGES[0]:
@@ -95,12 +95,11 @@ def image(place: Path) -> Path:
 
 
 def clean() -> dict[str, str]:
-    """An environment that knows nothing of the checkout."""
     return {"PATH": os.environ["PATH"], "HOME": "/nonexistent"}
 
 
 class Container:
-    """A service of compose.yaml as a process: its command, with directories of its own for its volumes."""
+    """A service of compose.yaml as a process, with directories for its volumes."""
 
     def __init__(self, image: Path, keys: Path, state: Path, words: list[str]) -> None:
         state.mkdir()
@@ -126,7 +125,6 @@ class Container:
             )
 
     def wait_says(self, pattern: str) -> None:
-        """Wait until it has said this."""
         wait_until(lambda: re.search(pattern, self._said.read_text()) or self.process.poll() is not None)
         assert re.search(pattern, self._said.read_text()), self._said.read_text()
 
@@ -138,7 +136,7 @@ class Container:
 
 @contextmanager
 def container(image: Path, keys: Path, name: str, **instead: str) -> Iterator[Container]:
-    """A service, with other words in its command."""
+    """A service, with some words of its command replaced."""
     words = [instead.get(re.sub(r"\W", "_", word), word) for word in SERVICES[name]["command"]]
     running = Container(image, keys, keys.parent / f"state-{name}", words)
     try:
@@ -149,7 +147,7 @@ def container(image: Path, keys: Path, name: str, **instead: str) -> Iterator[Co
 
 
 def test_the_services_are_a_fleet(image: Path, place: Path) -> None:
-    """Each with the keys of its role: a robot on a virtual chassis is seen and recorded, through the router."""
+    """With the keys of its role each: a robot is seen and recorded through the router."""
     fleet = ProvisionedFleet(place / "fleet", free_endpoint().replace("tcp/", "tls/"))
     (place / "fleet").chmod(0o755)
     router, robot = fleet.let_in("router", "127.0.0.1"), fleet.let_in("robot", "cruiser-1")
@@ -188,7 +186,7 @@ def test_the_services_are_a_fleet(image: Path, place: Path) -> None:
 
 
 def test_a_service_without_its_keys_says_so_in_one_line(image: Path, place: Path) -> None:
-    """As after the first 'docker compose up', before anybody has made any."""
+    """As after the first 'docker compose up'."""
     for name in ("router", "recorder", "desk", "metrics"):
         empty = place / f"empty-{name}"
         (empty / "keys").mkdir(parents=True)

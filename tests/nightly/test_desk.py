@@ -32,7 +32,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
 
 
 def let_go_and_watch(scene: DeskScene, page: Page, let_go: Callable[[Page], object]) -> float:
-    """Let go of a robot that is speeding up. Returns for how long it was told to go on with that, s."""
+    """Let go of a robot that is speeding up. Returns the seconds until it slows down."""
     let_go_ns = time.monotonic_ns()
     let_go(page)
     scene.wait_told_zero()
@@ -47,7 +47,7 @@ def let_go_and_watch(scene: DeskScene, page: Page, let_go: Callable[[Page], obje
 def test_each_way_to_let_go_stops_the_robot_twenty_times(
     scene: DeskScene, running_browser: Browser, way: str
 ) -> None:
-    """It speeds up for no longer than the deadman and a tick, and stands; no drive is begun by itself."""
+    """It speeds up no longer than the deadman and a tick; no drive begins by itself."""
     late = []
     for _ in range(TIMES):
         context = running_browser.new_context(locale="en-GB")
@@ -62,7 +62,7 @@ def test_each_way_to_let_go_stops_the_robot_twenty_times(
 
 
 def test_a_browser_that_is_300_ms_away_drives_slowly_and_stops(scene: DeskScene, running_browser: Browser) -> None:
-    """The robot obeys commands that are 600 ms old at a speed that this age allows; let go, it stands."""
+    """The speed is limited by the age of its commands, 600 ms."""
     with TcpLink(scene.address, lambda: 0.3) as link:
         context = running_browser.new_context(locale="en-GB")
         try:

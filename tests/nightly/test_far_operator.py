@@ -7,7 +7,7 @@ from tests.support.rigs.far_operator import trip
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
-    """The goal: 30 % jitter, 1 % loss, 0.5 m/s asked: 95 % of the time at speed, one stop in ten minutes."""
+    """With 30 % jitter, 1 % loss and 0.5 m/s: 95 % of the time at speed, one stop in ten minutes."""
     made = trip(FAR, speed_mps=0.5, seconds=600)
     assert made.moving >= 0.95
     assert len(made.stops) <= 1

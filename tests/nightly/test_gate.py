@@ -33,14 +33,14 @@ TURN = 15
 
 @pytest.mark.parametrize("identifier", [STEERING, DRIVE])
 def test_every_pattern_of_a_frame(identifier: int) -> None:
-    """Of the 2^25 and 2^29 patterns of the bits with a meaning one in 256 passes: that with its own checksum."""
+    """Of 2^25 and 2^29 patterns of meaningful bits one in 256 passes: that with its own checksum."""
     words = patterns(identifier)
     assert wrong_checksums(identifier, words) == (len(words), 0)
 
 
 @pytest.mark.parametrize("variant", SCALES)
 def test_every_speed_step_through_the_whole_gate(variant: Variant) -> None:
-    """2,223 x 2,223 fine ones, 56 x 56 coarse ones, each as a stop and not, from the bytes."""
+    """2,223 x 2,223 fine ones, 56 x 56 coarse ones, as a stop and not, from the bytes."""
     speeds = [Raw(speed=speed) for speed in SPEEDS[variant]]
     admitted, wrong = disagreements(speeds, speeds, variant)
     assert wrong == []
@@ -50,7 +50,7 @@ def test_every_speed_step_through_the_whole_gate(variant: Variant) -> None:
 
 
 def test_every_angle_step_through_the_whole_gate() -> None:
-    """1,093 x 1,093, each as a stop and not, from the bytes."""
+    """1,093 x 1,093, as a stop and not, from the bytes."""
     angles = [Raw(angle=angle) for angle in ANGLES]
     admitted, wrong = disagreements(angles, angles, Variant.COARSE)
     assert wrong == []
@@ -86,7 +86,7 @@ def test_a_stop_in_place_after_every_speed_and_angle(variant: Variant) -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("variant", SCALES)
 def test_walks(variant: Variant, seed: int) -> None:
-    """50,000 bursts in a row each, as in the test of every day."""
+    """50,000 bursts in a row each."""
     walk = Walk(seed, variant)
     for _ in range(50_000):
         walk.step()

@@ -1,7 +1,4 @@
-"""Operators and recorders beside gateways of another version: real processes, of commits of the history.
-
-docs/operate.md has what is seen here as a table.
-"""
+"""Operators and recorders beside gateways of another version, from commits of the history (docs/operate.md)."""
 
 import os
 import re
@@ -31,7 +28,7 @@ Tree = Callable[[str], Path]
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
-    """The product as it was at a commit; it wants the history, so a shallow clone fails here."""
+    """The product at a commit; fails in a shallow clone."""
     made: dict[str, Path] = {"": ROOT}
 
     def at(commit: str) -> Path:
@@ -58,7 +55,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
 
 @contextmanager
 def version(place: Path) -> Iterator[None]:
-    """Processes that are started meanwhile are of the version in this directory."""
+    """Processes started meanwhile have the version of this directory."""
     before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
     os.environ.update(PYTHONPATH=str(place), PYTHONSAFEPATH="1")
     try:
@@ -75,7 +72,7 @@ def version(place: Path) -> Iterator[None]:
 
 @contextmanager
 def robot(place: Path, directory: Path) -> Iterator[str]:
-    """A gateway of a version, on a virtual chassis of its own; where it listens."""
+    """A gateway of a version on a virtual chassis. Yields its endpoint."""
     settings = directory / "robot.toml"
     settings.write_text("[gateway]\naccept_unguarded = true\n[command]\ndeadman_s = 0.5\n")
     endpoint = free_endpoint()
@@ -85,7 +82,7 @@ def robot(place: Path, directory: Path) -> Iterator[str]:
 
 @contextmanager
 def recording(endpoint: str, directory: Path) -> Iterator[list[Path]]:
-    """A recorder of the version of the moment; the logs that it leaves."""
+    """A recorder of the current version. Yields its logs."""
     logs: list[Path] = []
     with Running("record", "--connect", endpoint, "--name", "small", "-o", str(directory)) as recorder:
         recorder.wait_says("writing ")
@@ -95,7 +92,7 @@ def recording(endpoint: str, directory: Path) -> Iterator[list[Path]]:
 
 
 def ask(*words: str) -> tuple[int, str]:
-    """Exit code of a command, and all that it said."""
+    """Run a command. Returns its exit code and output."""
     done = run(words)
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr
@@ -104,7 +101,7 @@ def ask(*words: str) -> tuple[int, str]:
 @pytest.mark.parametrize("side", ["gateway", "others"])
 @pytest.mark.parametrize("commit", SAME_SCHEMAS)
 def test_versions_with_the_same_schemas_work_together(tree: Tree, tmp_path: Path, commit: str, side: str) -> None:
-    """One side is the gateway, the other an operator and a recorder: listed, driven, stopped, recorded."""
+    """One side is the gateway, the other an operator and a recorder."""
     robots, others = (tree(commit), ROOT) if side == "gateway" else (ROOT, tree(commit))
     with robot(robots, tmp_path) as endpoint, version(others), recording(endpoint, tmp_path / "logs") as logs:
         there = ("--connect", endpoint)
@@ -119,7 +116,7 @@ def test_versions_with_the_same_schemas_work_together(tree: Tree, tmp_path: Path
 
 @pytest.mark.parametrize("side", ["gateway", "others"])
 def test_versions_of_another_state_say_so_and_stop_all_the_same(tree: Tree, tmp_path: Path, side: str) -> None:
-    """Nothing is driven, both versions are named, the recorder keeps what it cannot read, and a stop is served."""
+    """Both versions are named; the recorder stores what it cannot read."""
     robots, others = (tree(OTHER_STATE), ROOT) if side == "gateway" else (ROOT, tree(OTHER_STATE))
     with robot(robots, tmp_path) as endpoint, version(others), recording(endpoint, tmp_path / "logs") as logs:
         there = ("--connect", endpoint)
@@ -141,5 +138,5 @@ def test_versions_of_another_state_say_so_and_stop_all_the_same(tree: Tree, tmp_
 
 
 def topics(logs: Path) -> set[str]:
-    """The topics of the logs in a directory, as this version reads them."""
+    """The topics of a directory's logs, as this version reads them."""
     return {topic for path in logs.glob("*.mcap") for topic in counts(read_info(path))}

@@ -1,7 +1,4 @@
-"""A log as rerun reads it: every message of every channel, with the times and the numbers of the mcap package.
-
-``make readers`` runs it: rerun takes 800 MB, and has an environment of its own.
-"""
+"""A log as rerun reads it, against the mcap package (``make readers``; rerun has its own environment)."""
 
 import json
 import os
@@ -36,7 +33,7 @@ DRAWN = {"double", "float", "bool", "string", "int64", "uint32"}
 
 
 class Logged(msgspec.Struct, frozen=True):
-    """One message as a reader sees it."""
+    """A message as a reader sees it."""
 
     topic: str
     log_ns: int
@@ -45,7 +42,7 @@ class Logged(msgspec.Struct, frozen=True):
 
 
 def samples() -> Iterator[ReceivedSample]:
-    """Two seconds of a driving robot, an event, and who it is."""
+    """Two seconds of a driving robot, an event, and its info."""
     script = make_script()
     sequences: Counter[str] = Counter()
     for tick in range(TICKS):
@@ -79,7 +76,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def by_mcap(path: Path) -> Iterator[Logged]:
-    """What the mcap package reads, with CRCs on."""
+    """Messages as the mcap package reads them, with CRCs."""
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, message, content in reader.iter_decoded_messages():
@@ -88,7 +85,7 @@ def by_mcap(path: Path) -> Iterator[Logged]:
 
 
 def test_rerun_reads_what_the_mcap_package_reads(log: Path) -> None:
-    """As many messages on each topic, at the same times, with the same numbers."""
+    """Topics, times and numbers."""
     done = subprocess.run(
         [os.environ["READERS_PYTHON"], Path(__file__).with_name("with_rerun.py"), log],
         capture_output=True,
@@ -117,7 +114,7 @@ def _place(one: Logged) -> tuple[Any, ...]:
 
 
 def test_rerun_draws_what_the_blueprint_names(log: Path, tmp_path: Path) -> None:
-    """The file is one of rerun's, and each field that it draws is a number or a text in the log."""
+    """Each field that it draws is a number or a text in the log."""
     blueprint = tmp_path / "layout.rerun.rbl"
     python = Path(os.environ["READERS_PYTHON"])
     packages = Path(msgspec.__file__).parents[1]

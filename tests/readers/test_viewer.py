@@ -1,7 +1,4 @@
-"""A log at the desk as Foxglove and Lichtblick read it: their packages, in a browser, on another origin's page.
-
-``make readers`` runs it, once npm has the packages.
-"""
+"""A log at the desk as the packages of Foxglove and Lichtblick read it in a browser (``make readers``)."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -58,7 +55,7 @@ Read = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def read(log: Path) -> Iterator[Callable[[int], Read]]:
-    """Reads the log from a moment on, in the browser, as a viewer that the server knows."""
+    """Reads the log from a moment on, in the browser."""
     with (
         viewer() as origin,
         Running("desk", *DESK, "--logs", str(log.parent), "--viewer", origin) as serving,
@@ -78,7 +75,7 @@ def read(log: Path) -> Iterator[Callable[[int], Read]]:
 
 
 def read_here(log: Path, start_ns: int) -> list[tuple[str, str, str, dict[str, float]]]:
-    """The same by the mcap package, with CRCs on."""
+    """The same with the mcap package and its CRCs."""
     with log.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         return [
@@ -88,7 +85,7 @@ def read_here(log: Path, start_ns: int) -> list[tuple[str, str, str, dict[str, f
 
 
 def bytes_before(log: Path, start_ns: int) -> int:
-    """The length of the chunks that end before a moment; there are some."""
+    """Length of the chunks that end before a moment."""
     with log.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
@@ -98,7 +95,7 @@ def bytes_before(log: Path, start_ns: int) -> int:
 
 
 def _numbers(content: Any) -> dict[str, float]:  # noqa: ANN401 - a class of protobuf's, made at run time
-    """Those that JavaScript can hold: of floating point, and of 32 bits. One that is 0 may be none."""
+    """Numbers that JavaScript can hold: floating point, and 32 bits; without zeros."""
     return {
         field.name: value
         for field, value in content.ListFields()
@@ -113,14 +110,13 @@ def _ordered(messages: list[Any]) -> list[Any]:
 def test_every_message_of_a_served_log_is_read_as_the_mcap_package_reads_it(
     log: Path, read: Callable[[int], Read]
 ) -> None:
-    """Topic, times and numbers."""
     messages = [tuple(one) for one in read(0)["messages"]]
     assert len(messages) > 1000
     assert _ordered(messages) == _ordered(read_here(log, 0))
 
 
 def test_the_end_of_a_log_is_read_without_the_rest(log: Path, read: Callable[[int], Read]) -> None:
-    """By ranges: chunks from before the moment are not asked for."""
+    """By ranges, without the chunks before the moment."""
     start_ns = max(int(one[1]) for one in read_here(log, 0)) - LAST_S * 1_000_000_000
     end, whole = read(start_ns), read(0)
     assert len(end["messages"]) == len(read_here(log, start_ns)) < len(whole["messages"]) / 2

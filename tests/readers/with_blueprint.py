@@ -1,8 +1,6 @@
-"""A blueprint as rerun's package makes it, and whether each field that it draws is in a log as rerun reads that.
+"""Write rerun's blueprint, and look up each field that it draws in a log as rerun reads it.
 
 Usage: PYTHON-WITH-RERUN tests/readers/with_blueprint.py PROJECT PACKAGES LOG BLUEPRINT
-
-It is run by an interpreter that has rerun; the project and the packages it stands on come behind that one's own.
 """
 
 import json

@@ -1,8 +1,6 @@
-"""What rerun makes of a log: a JSON line for each message, with its topic, its times and its fields.
+"""Print a JSON line for each message of a log as rerun reads it.
 
 Usage: PYTHON-WITH-RERUN tests/readers/with_rerun.py LOG
-
-It is run by an interpreter that has rerun, and nothing of this project.
 """
 
 import json
@@ -14,7 +12,6 @@ TIMES = ("message_log_time", "message_publish_time")
 
 
 def main(path: str) -> None:
-    """Print all that the protobuf decoder decodes."""
     for chunk in McapReader(path, decoders=["protobuf"]).stream():
         batch = chunk.to_record_batch()
         names = batch.schema.names

@@ -19,7 +19,7 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 
 def test_it_is_complete_and_of_one_version() -> None:
-    """Wheel, source, packages, bill of materials and notes, each with its checksum."""
+    """Each file with its checksum."""
     lines = (DIST / "SHA256SUMS").read_text("ascii").splitlines()
     sums = {name: sum_ for sum_, name in (line.split("  ") for line in lines)}
     releases = [
@@ -38,7 +38,7 @@ def test_it_is_complete_and_of_one_version() -> None:
 
 @pytest.mark.timeout(1200)
 def test_the_wheel_runs_demo_review_and_desk_elsewhere(tmp_path: Path) -> None:
-    """In an environment that has nothing else, from a directory that is no checkout."""
+    """In an empty environment, outside of any checkout."""
     (wheel,) = DIST.glob("*.whl")
     subprocess.run([sys.executable, "-m", "venv", "env"], cwd=tmp_path, check=True)
     clean = {name: value for name, value in os.environ.items() if name not in {"PYTHONPATH", "VIRTUAL_ENV"}}

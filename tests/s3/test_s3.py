@@ -1,4 +1,4 @@
-"""``cruiser upload`` and a server that speaks S3: HTTP as the library makes it."""
+"""``cruiser upload`` and a server that speaks S3."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ RATE = 40_000_000
 
 @pytest.fixture
 def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Where a server with an empty bucket is."""
+    """The port of a server with an empty bucket."""
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "testtest")
     port = int(free_endpoint().rpartition(":")[2])
@@ -105,7 +105,7 @@ def held(port: int) -> dict[str, bytes]:
 
 
 def check_all_there(logs: Path, port: int, verified: str) -> None:
-    """Each log byte for byte, with a manifest and a row, and marked."""
+    """Each log byte for byte, with manifest and row, and marked."""
     objects = held(port)
     assert len(objects) == 9
     for name in (SMALL, LARGE, INCIDENT):
@@ -121,7 +121,7 @@ def check_all_there(logs: Path, port: int, verified: str) -> None:
 def test_logs_of_one_part_and_of_several_are_there_and_verified(
     logs: Path, port: int, *, read_back: bool, verified: str, rate: int
 ) -> None:
-    """The checksum is the one that S3 gives, also of several parts."""
+    """By S3's own checksum, also of several parts."""
     assert upload(logs, port, read_back=read_back, rate=rate) == ExitCode.OK
     check_all_there(logs, port, verified)
     # A robot whose note is lost sends nothing again.
@@ -131,7 +131,7 @@ def test_logs_of_one_part_and_of_several_are_there_and_verified(
 
 
 def test_another_log_of_the_same_name_is_not_overwritten(logs: Path, port: int, tmp_path: Path) -> None:
-    """The server itself refuses the second manifest."""
+    """The server refuses the second manifest."""
     upload(logs, port)
     before = held(port)
     saved(tmp_path / "depot" / SMALL, own_log([gears(0, 9, 0)]))
@@ -146,7 +146,7 @@ def test_another_log_of_the_same_name_is_not_overwritten(logs: Path, port: int, 
 def test_a_connection_that_is_lost_in_the_middle_only_holds_the_upload_up(
     logs: Path, port: int, after_bytes: int
 ) -> None:
-    """Wherever that is: in a request, in a part, while a log is read back."""
+    """In a request, in a part, while a log is read back."""
     with cut_link(port, after_bytes) as (other_port, has_cut):
         assert upload(logs, other_port) == ExitCode.OK
         assert has_cut.is_set()
@@ -161,7 +161,7 @@ def test_what_was_uploaded_is_found_and_asked_in_the_store(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As the file is, and also where a connection is lost in the middle."""
+    """The answers are those about the file, also where a connection breaks."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     log = saved(tmp_path / "logs" / SMALL, recorded(scenarios.stale_commands))
     assert upload(log.parent, port) == ExitCode.OK
@@ -182,7 +182,6 @@ def test_what_was_uploaded_is_found_and_asked_in_the_store(
 
 
 def test_a_bucket_that_nobody_may_read_or_that_is_not_there_is_said(port: int) -> None:
-    """In a line."""
     settings = Settings(upload=UploadSettings("", options_of(port)))
     with pytest.raises(CommandError, match="cannot list s3://none"):
         run_command(review, "events", "s3://none/plant-1", settings=settings)
@@ -191,7 +190,6 @@ def test_a_bucket_that_nobody_may_read_or_that_is_not_there_is_said(port: int) -
 
 
 def test_a_server_that_is_not_there_is_said(logs: Path, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """4, and nothing is marked."""
     monkeypatch.setattr("recorder.upload.uploader.REQUEST_S", timedelta(seconds=1))
     assert port
     nobody = int(free_endpoint().rpartition(":")[2])
@@ -201,7 +199,7 @@ def test_a_server_that_is_not_there_is_said(logs: Path, port: int, monkeypatch: 
 
 @contextmanager
 def cut_link(port: int, after_bytes: int) -> Iterator[tuple[int, threading.Event]]:
-    """A port that leads to another one, and cuts a connection once, after so many bytes in both directions."""
+    """A port that leads to another one, and cuts a connection once, after so many bytes."""
     has_cut = threading.Event()
     left = [after_bytes]
 

@@ -56,7 +56,7 @@ class Party:
         return Signed(body, self.key, self.private.sign(signed_bytes(ProofKind.STATEMENT, body)), statement)
 
     def grant(self, to: Party, **changes: Any) -> list[Signed]:  # noqa: ANN401 - fields of a grant
-        """Grants somebody everything, but for the changes; that party's chain from then on."""
+        """Grant everything, but for the changes. Returns the party's chain from then on."""
         said: dict[str, Any] = {
             "serial": 1,
             "name": to.name,
@@ -104,7 +104,7 @@ class Fleet:
         self.trust = Trust(self.authority.key, self.standby.key)
 
     def site(self, **changes: Any) -> Party:  # noqa: ANN401 - fields of a grant
-        """Somebody who grants, as an earlier version let sites do."""
+        """A party that grants, as an earlier version let sites do."""
         site = Party("depot")
         self.authority.grant(site, **({"role": GrantRole.SITE, "may_delegate": 1, "override": True} | changes))
         return site
@@ -116,8 +116,6 @@ class Fleet:
 
 
 class AuthorityBench:
-    """A robot's authority, and its clock."""
-
     def __init__(
         self,
         fleet: Fleet | None = None,
@@ -153,7 +151,7 @@ class AuthorityBench:
         return effects
 
     def show(self, text: str) -> StatementReply:
-        """Shows a statement; its reply has to be the robot's."""
+        """Show a statement. The reply has to be the robot's."""
         raw = RawRequest(1, "", "", text.encode(), len(text))
         pending = self.authority.receive(raw, self.now_ns)
         proof = RobotProof.read(pending.attachment)
@@ -163,7 +161,7 @@ class AuthorityBench:
         return msgspec.msgpack.decode(pending.payload, type=StatementReply)
 
     def bars(self) -> dict[Reason, str]:
-        """Why nobody may engage, a second later."""
+        """The reasons against engaging, a second later."""
         self.tick()
         return self._bars
 
@@ -172,7 +170,6 @@ class AuthorityBench:
             assert self.show(one if isinstance(one, str) else one.text()).ok
 
     def chain_of(self, name: str, **changes: Any) -> str:  # noqa: ANN401 - fields of a grant
-        """The grant of an operator, as text."""
         return chain_text(self.fleet.operator(name, **changes).chain)
 
     @property
@@ -180,14 +177,14 @@ class AuthorityBench:
         return chain_text(self.robot.chain)
 
     def regrant(self, by: Party | None = None, **changes: Any) -> str:  # noqa: ANN401 - fields of a grant
-        """Another grant for the robot's key, which is its own from now on if it takes it."""
+        """Another grant for the robot's key."""
         self.robot.chain = []
         said: dict[str, Any] = {"role": GrantRole.ROBOT, "robots": ["cruiser-1"]}
         (by or self.fleet.authority).grant(self.robot, **(said | changes))
         return self.own
 
     def restarted(self) -> Trust:
-        """What a restart trusts by the note of the next tick."""
+        """The trust after a restart with the note of the next tick."""
         kept = self.tick().kept
         assert kept is not None
         trust = trust_of(self.fleet.trust, kept)

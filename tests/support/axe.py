@@ -13,13 +13,13 @@ RULES: Final = {
 
 
 def assert_for_everybody(page: Page) -> None:
-    """See that the page, as it is now, breaks none of the rules."""
+    """The page as it is now breaks no rule."""
     found = Axe().run(page, options=RULES)
     assert found.response["violations"] == [], found.generate_report()
 
 
 def assert_fits_a_small_phone(page: Page) -> None:
-    """Narrow the page, and see that it reflows to 320 pixels, and that no button stands outside (WCAG 1.4.10)."""
+    """At 320 pixels the page reflows, with no button outside (WCAG 1.4.10)."""
     page.set_viewport_size({"width": 320, "height": 640})
     # The page may still be laid out for the width of before.
     wait_until(lambda: page.evaluate("document.documentElement.scrollWidth") <= 320)

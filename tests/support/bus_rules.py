@@ -1,8 +1,7 @@
-"""What may reach the bus: a second statement of the gate's rules, to judge the gate by.
+"""A second statement of the gate's rules, to judge the gate by.
 
-Written from the manual (V2.0, 4.3.1 and 5) and from the command rules, not from the gate's code, and in another
-form: a frame is a picture of its bits, what a burst says is physical and exact, in micrometres a second and
-microdegrees.
+Written from the manual (V2.0, 4.3.1 and 5) and from the command rules, not from the gate's code. A frame is a
+picture of its bits; a burst's values are exact, in micrometres a second and microdegrees.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,7 +58,7 @@ Values = Mapping[str, int]
 
 
 class Told(NamedTuple):
-    """What a burst says."""
+    """The values of a burst."""
 
     enables: str
     gear: str
@@ -92,13 +91,12 @@ def compose(identifier: int, values: Values, counter: int) -> bytes:
 
 
 def value(identifier: int, letter: str, data: bytes) -> int:
-    """The raw value of a signal."""
     bits = bit_string(data)
     return int("".join(bits[place] for place in reversed(_places(identifier, letter))), 2)
 
 
 def is_well_formed(identifier: int, data: bytes) -> bool:
-    """Eight bytes, no bit without a meaning, and an even number of ones in each of the eight columns of bits."""
+    """Eight bytes, no bit without a meaning, an even number of ones in each of the eight columns of bits."""
     if len(data) != 8:
         return False
     bits = bit_string(data)
@@ -108,7 +106,7 @@ def is_well_formed(identifier: int, data: bytes) -> bool:
 
 
 def read(burst: Sequence[Frame], bit_umps: int | None) -> Told:
-    """What the first five frames of a burst say; in an unknown scale every speed but zero is beyond all."""
+    """Read the first five frames of a burst; in an unknown scale every speed but zero is out of range."""
     drive, gear, steering, braking, parking = (
         next(frame.data for frame in burst[:5] if frame.identifier == identifier) for identifier in BURST
     )
@@ -124,7 +122,7 @@ def read(burst: Sequence[Frame], bit_umps: int | None) -> Told:
 
 
 def may_be_told(told: Told) -> bool:
-    """Whether the chassis may be told this at all."""
+    """The burst is admissible by itself."""
     if abs(told.angle_udeg) > TOP_ANGLE_UDEG or told.has_pedal:
         return False
     is_at_rest = told.is_parked and told.speed_umps == 0
@@ -142,9 +140,9 @@ def may_be_told(told: Told) -> bool:
 def may_follow(
     told: Told, before: Told | None, bit_umps: int | None, *, is_stop: bool, may_let_go: bool = False
 ) -> bool:
-    """Whether the chassis may be told this after that; None out of silence, or where others may command.
+    """The burst is admissible after that one; None after silence, or where others may command.
 
-    ``may_let_go``: this stop may still give the robot back to its motor, which its parking brake does not hold.
+    ``may_let_go``: this stop may still return the robot to its motor.
     """
     if before is None:
         return is_stop or told.is_parked
@@ -174,7 +172,7 @@ class Bus:
         self.is_torn = self.may_let_go = self.was_stop = False
 
     def may_send(self, burst: Sequence[Frame], bit_umps: int | None, now_ns: int, *, is_stop: bool) -> bool:
-        """Whether this burst may be sent now, as a whole."""
+        """The whole burst is admissible now."""
         identifiers = [self._identifier(frame) for frame in burst]
         is_brake_first = tuple(identifiers[:5]) == BRAKE_FIRST and self.is_torn
         if not (tuple(identifiers[:5]) == BURST or is_brake_first) or len(set(identifiers)) != len(identifiers):
@@ -191,7 +189,7 @@ class Bus:
         return may_be_told(told) and follows
 
     def sent(self, burst: Sequence[Frame], now_ns: int) -> None:
-        """So much of a burst was accepted by the bus; only a whole one tells what the chassis was told."""
+        """The bus accepted so many frames; only a whole burst counts as commanded."""
         for frame in burst:
             self.sent_ns[frame.identifier] = [*self.sent_ns[frame.identifier][-11:], now_ns]
             self.counters[frame.identifier] = value(frame.identifier, "c", frame.data)
@@ -210,12 +208,12 @@ class Bus:
         self.before = ()
 
     def _identifier(self, frame: Frame) -> int | None:
-        """The identifier of a classic data frame that the manual knows as a command."""
+        """The identifier of a classic data frame that the manual lists as a command."""
         is_known = frame.can_id in {identifier | EXTENDED for identifier in PICTURES}
         return frame.identifier if is_known and frame.fd_flags == 0 == frame.remote_length else None
 
     def _may_send_frame(self, frame: Frame, identifier: int | None, now_ns: int) -> bool:
-        """Well-formed, the counter one further (15 wraps to 0), and no more than 12 in 100 ms."""
+        """Well-formed, counter up by one (15 wraps to 0), at most 12 in 100 ms."""
         if identifier is None or not is_well_formed(identifier, frame.data):
             return False
         counter = self.counters.get(identifier)

@@ -11,7 +11,7 @@ from schemas.settings import Settings
 
 
 def parsed(command: ModuleType, *words: object) -> argparse.Namespace:
-    """These words, as a command understands them."""
+    """These words, parsed by a command."""
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     return parser.parse_args([str(word) for word in words])
@@ -23,18 +23,18 @@ def run_command(
     settings: Settings | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Run the command of a module with these words, until ``stopped``; its exit code."""
+    """Run a module's command with these words until ``stopped``. Returns its exit code."""
     code: int = command.run(parsed(command, *words), settings or Settings(), stopped)
     return code
 
 
 def review(*words: object, is_stopped: bool = False) -> int:
-    """``cruiser review`` with these words; its exit code."""
+    """Run ``cruiser review``. Returns its exit code."""
     return run_command(review_command, *words, stopped=lambda: is_stopped)
 
 
 def in_process(*words: str) -> int:
-    """The exit code of a whole command line in this process, whose signal handlers are put back."""
+    """Run a command line in this process, then restore the signal handlers. Returns its exit code."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         return main(words)

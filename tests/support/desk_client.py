@@ -12,16 +12,9 @@ TIMEOUT_S = 20.0
 
 
 class DeskClient:
-    """A page that decodes what it is sent, and shows nothing.
-
-    Attributes:
-        rows: of the overview, by robot, as the page would show them.
-
-        messages, size: the number of messages that came, and their bytes.
-    """
+    """A page that decodes what it receives, and shows nothing; ``rows`` are those of the overview, by robot."""
 
     def __init__(self, address: str) -> None:
-        """Name a desk, as it is typed into a browser; connected where a ``with`` begins."""
         self._place = urlparse(address).netloc
         self.rows: dict[str, dict[str, Any]] = {}
         self.recorders: list[str] = []

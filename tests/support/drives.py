@@ -38,12 +38,7 @@ FRAMES = 5
 
 
 def drive_log(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns: int = 0) -> bytes:
-    """A whole log: gears, raw frames, an event, a strange key, and what the gateway says of itself.
-
-    Args:
-        first: sequence of the first gear, each 10 ms after the one before.
-        late_ns: so much later than it was said the recorder has heard it.
-    """
+    """A whole log: gears 10 ms apart, raw frames, an event, an unknown key, and the gateway's info."""
     log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
     for number in range(first, first + count):
         time_ns = WALL_NS + number * 10 * MS
@@ -63,7 +58,7 @@ def frames(sequence: int) -> CanFrames:
 
 
 def drive_samples(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> list[ReceivedSample]:
-    """The samples of a robot: gears, with two frames each, and who it is; and somebody else."""
+    """Samples of a robot: gears with two frames each, its info; and a foreign one."""
     found: list[ReceivedSample] = [sample_of(info(), robot, root)]
     for number in range(count):
         time_ns = WALL_NS + number * STEP_NS
@@ -91,7 +86,7 @@ HOSTILE: Final = (
 
 
 def drive_messages(periods: int = 200) -> list[Message]:
-    """A drive of so many periods, which a bumper ends."""
+    """A drive that a bumper ends."""
     found: list[Message] = []
     for number in range(periods):
         found += [state(number, angle_deg=10.0), arbiter(number)]
@@ -99,7 +94,7 @@ def drive_messages(periods: int = 200) -> list[Message]:
 
 
 def restart(periods: int = 200, silent: int = 60) -> list[Message]:
-    """A drive of so many periods; its gateway dies, and another one stands by from so many periods later on."""
+    """A drive; its gateway dies, and after ``silent`` periods another one stands by."""
     found: list[Message] = [one for number in range(periods) for one in (state(number), arbiter(number))]
     for number in range(periods + silent, periods + silent + 40):
         other = arbiter(number, sequence=number - periods - silent, state=ArbiterState.STANDBY, lease_holder="")
@@ -110,7 +105,7 @@ def restart(periods: int = 200, silent: int = 60) -> list[Message]:
 def write_messages(
     path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",), root: str = ROOT
 ) -> Path:
-    """A log in which each of these robots says all of these messages, received when they were sent."""
+    """A log in which each robot publishes all these messages, received when they were sent."""
     log = Log()
     for robot in robots:
         log.receive(sample_of(info(), robot, root))
@@ -122,7 +117,7 @@ def write_messages(
 
 
 def drives_over(days: int, count: int, periods: int = 60) -> list[Message]:
-    """So many drives, which a bumper ends, in the course of so many days; nobody records the rest between."""
+    """Drives that a bumper ends, spread over so many days; nothing is recorded between them."""
     apart = days * 24 * 3600 * SECOND // PERIOD_NS // count
     return [
         message

@@ -1,7 +1,7 @@
-"""A viewer, as small as it can be: the client's side of Foxglove's WebSocket protocol.
+"""A minimal viewer: the client's side of Foxglove's WebSocket protocol.
 
-Frames and operations are those of https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md, under the name
-that foxglove-sdk gives the protocol.
+Frames and operations: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md, under foxglove-sdk's name
+for it.
 """
 
 import base64
@@ -24,7 +24,7 @@ DEADLINE_S = 20.0
 
 
 class Advertised(NamedTuple):
-    """A channel, as the server advertises it."""
+    """A channel that the server advertises."""
 
     topic: str
     encoding: str
@@ -40,11 +40,7 @@ class ViewerMessage(NamedTuple):
 
 
 class FoxgloveClient:
-    """A connection to a server.
-
-    Attributes:
-        channels: what it advertises, by the server's ids.
-    """
+    """A connection to a server; ``channels`` has the advertised ones by the server's ids."""
 
     def __init__(self, url: str, trust: ssl.SSLContext | None = None) -> None:
         self._stack = ExitStack()
@@ -69,7 +65,7 @@ class FoxgloveClient:
         return {channel.topic for channel in self.channels.values()}
 
     def subscribe(self, wanted: Callable[[str], bool] = lambda _topic: True) -> None:
-        """Subscribe to these topics, and to those that are advertised later."""
+        """Subscribe to these topics, now and when they are advertised later."""
         self._wanted = wanted
         self._subscribe(self.channels)
 
@@ -93,7 +89,7 @@ class FoxgloveClient:
         return self
 
     def receive_for(self, span_s: float) -> None:
-        """Receive what comes in this time."""
+        """Receive for so long."""
         end_s = time.monotonic() + span_s
         while (left_s := end_s - time.monotonic()) > 0:
             with suppress(TimeoutError):

@@ -26,14 +26,14 @@ STANDING: dict[str, dict[str, Value]] = {
 
 
 class Feedback:
-    """Sends feedback frames of one variant with running alive counters."""
+    """Feedback frames of one variant with running alive counters."""
 
     def __init__(self, variant: Variant) -> None:
         self._encoder = Encoder(load(variant))
         self._alive = dict.fromkeys(STANDING, 0)
 
     def frame(self, name: str, values: Mapping[str, Value] | None = None, wall_ns: int = WALL_NS) -> Frame:
-        """The next frame of this name; a signal that is not named has the value of a standing chassis."""
+        """The next frame of this name; other signals have the values of a standing chassis."""
         counter = self._alive[name]
         self._alive[name] = (counter + 1) % 16
         return self._encoder.encode(name, STANDING[name] | dict(values or {}), counter, wall_ns)
@@ -43,7 +43,7 @@ class Feedback:
             yield self.frame(name)
 
     def second(self) -> Iterator[tuple[int, Frame]]:
-        """One second of a standing chassis: 630 frames with the time in ns at which each is due."""
+        """One second of a standing chassis: 630 frames, each with its due time in ns."""
         layout = load(Variant.COARSE)
         for at_ms in range(0, 1000, 10):
             for name in STANDING:

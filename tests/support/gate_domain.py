@@ -41,7 +41,7 @@ class Raw(NamedTuple):
 
 
 class Burst(NamedTuple):
-    """A burst, and what it says in the gate's words and in those of the rules."""
+    """A burst, in the gate's terms and in those of the rules."""
 
     frames: list[Frame]
     motion: MotionBurst
@@ -60,20 +60,19 @@ def _frame(identifier: int, letter: str, raw: int, enable: int, counter: int) ->
 
 
 def make_frames(raw: Raw, counters: Sequence[int] = (0,) * 5) -> list[Frame]:
-    """The five frames."""
     values = (raw.speed, raw.gear, raw.angle, raw.pedal, raw.parking)
     enables = (raw.enables >> index & 1 for index in range(5))
     return list(map(_frame, BURST, "vgabp", values, enables, counters))
 
 
 def make_burst(raw: Raw, variant: Variant, counter: int = 0) -> Burst:
-    """The five frames, all with this alive counter."""
+    """The five frames with this alive counter."""
     frames = make_frames(raw, [counter] * 5)
     return Burst(frames, read_motion(frames), bus_rules.read(frames, BIT_UMPS[variant]))
 
 
 def read_raw(frames: Sequence[Frame]) -> Raw:
-    """What the five frames say, in raw values."""
+    """The raw values of the five frames."""
     five = [next(frame for frame in frames[:5] if frame.identifier == identifier) for identifier in BURST]
     speed, gear, angle, pedal, parking = (
         bus_rules.value(identifier, letter, frame.data)
@@ -84,7 +83,7 @@ def read_raw(frames: Sequence[Frame]) -> Raw:
 
 
 def gate_after(before: Burst | None, variant: Variant) -> Judge:
-    """The gate itself, after a burst that it admitted as a stop; the next counter is 1."""
+    """The gate after a burst that it admitted as a stop; the next counter is 1."""
     gate = Gate()
     if before is not None:
         assert gate.admit(before.frames, variant, 0, stopping=True) is None
@@ -93,7 +92,7 @@ def gate_after(before: Burst | None, variant: Variant) -> Judge:
 
 
 def rules_after(before: Burst | None, variant: Variant) -> Judge:
-    """The second statement."""
+    """The second statement after the same burst."""
     past, bit_umps = None if before is None else before.told, BIT_UMPS[variant]
     return lambda burst, is_stop: (
         bus_rules.may_be_told(burst.told) and bus_rules.may_follow(burst.told, past, bit_umps, is_stop=is_stop)
@@ -103,7 +102,7 @@ def rules_after(before: Burst | None, variant: Variant) -> Judge:
 def disagreements(
     befores: Iterable[Raw | None], nexts: Iterable[Raw], variant: Variant
 ) -> tuple[int, list[tuple[Raw | None, Raw, bool]]]:
-    """How many pairs the gate admits, each as a stop and not; and those on which the rules differ from it."""
+    """Number of pairs that the gate admits, as a stop or not; and the pairs on which the rules differ from it."""
     offered = [(raw, make_burst(raw, variant, 1)) for raw in nexts]
     admitted, wrong = 0, []
     for before in befores:
@@ -119,7 +118,7 @@ def disagreements(
 
 
 def wrong_steps(befores: Iterable[Raw], nexts: Iterable[Raw], variant: Variant) -> list[tuple[Raw, bool]]:
-    """After which of these bursts the gate's rules of steps and the second statement differ, as a stop or not."""
+    """Bursts after which the gate's rules of steps and the second statement differ, as a stop or not."""
     bit_umps, wrong = BIT_UMPS[variant], []
     bursts = [make_burst(raw, variant) for raw in nexts]
     motions, all_told = [burst.motion for burst in bursts], [burst.told for burst in bursts]
@@ -151,7 +150,7 @@ def discrete(
 
 
 def possible(raws: Iterable[Raw], variant: Variant) -> list[Raw]:
-    """Those that can have been the burst before: by the rules, and the gate says so too."""
+    """Bursts that may have been sent before, by the rules and by the gate."""
     rules, gate = rules_after(None, variant), gate_after(None, variant)
     bursts = [(raw, make_burst(raw, variant)) for raw in raws]
     assert all(rules(burst, STOP) == gate(burst, STOP) for _, burst in bursts)
@@ -159,7 +158,7 @@ def possible(raws: Iterable[Raw], variant: Variant) -> list[Raw]:
 
 
 def patterns(identifier: int, without: str = ".x") -> list[int]:
-    """Every pattern of the bits that have a meaning, but for those of these letters."""
+    """Every pattern of the bits with a meaning, but for those of these letters."""
     marks = PICTURES[identifier].replace(" ", "")
     words = [0]
     for place in (place for place, mark in enumerate(marks) if mark not in without):
@@ -168,7 +167,7 @@ def patterns(identifier: int, without: str = ".x") -> list[int]:
 
 
 def wrong_checksums(identifier: int, words: Iterable[int]) -> tuple[int, int]:
-    """How many of these patterns were tried with all 256 checksums, and how many passed not with theirs alone."""
+    """Number of patterns tried with all 256 checksums, and of those that did not pass with their own alone."""
     can_id, tried, wrong = identifier | EXTENDED, 0, 0
     for word in words:
         let_through = [each for each in range(256) if not word_fault(can_id, word | each << 56, None)]
@@ -189,7 +188,7 @@ def stop_in_place(before: Raw) -> Raw:
 
 
 class Walk:
-    """A gate that is offered bursts at random beside the rules, most of them a small step from the one before."""
+    """A gate and the rules, offered the same random bursts, most of them a small step from the one before."""
 
     def __init__(self, seed: int, variant: Variant) -> None:
         self.variant = variant
@@ -201,7 +200,7 @@ class Walk:
         self._is_stop = False
 
     def step(self) -> None:
-        """Offer a burst; what is admitted is sent, at times only in part."""
+        """Offer a burst; send what is admitted, at times only in part."""
         random = self._random
         gaps_ms = (0, 5, 10, 10, 10, 10, 13) if random.random() < 0.97 else (98, 99, 100, 199, 200)
         self._now_ns += random.choice(gaps_ms) * MS
@@ -259,7 +258,7 @@ class Walk:
         return frames + [_frame(each, ".", 0, 0, counters[each]) for each in others if self._random.random() < 0.1]
 
     def _spoilt(self, frames: list[Frame]) -> list[Frame]:
-        """At times a bit is another, a frame is missing, twice or of another kind."""
+        """At times flip a bit; drop, double or replace a frame."""
         random, index = self._random, self._random.randrange(len(frames))
         frame = frames[index]
         word = int.from_bytes(frame.data, "little") ^ 1 << random.randrange(64)

@@ -51,14 +51,14 @@ OWN: Final = frozenset({"version", "metadata"})
 
 
 def unpack(name: str, directory: Path) -> list[str]:
-    """Write the files of a log as they were; returns the names of the logs among them."""
+    """Write a log's files. Returns the names of the logs among them."""
     for path in (DIRECTORY / name).glob("*.xz"):
         (directory / path.stem).write_bytes(lzma.decompress(path.read_bytes()))
     return sorted(path.name for path in directory.glob("*.mcap*"))
 
 
 def facts(value: Any) -> Any:  # noqa: ANN401 - JSON
-    """Keep of an answer what is no prose, and not empty."""
+    """The fields of an answer that are neither prose nor empty."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     if isinstance(value, list):
@@ -71,7 +71,7 @@ def facts(value: Any) -> Any:  # noqa: ANN401 - JSON
 
 
 def ask(*words: str) -> tuple[int, list[Any]]:
-    """Ask in the present directory; exit code, and the objects of the answer."""
+    """Ask in the current directory. Returns exit code and the objects of the answer."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         code = main(["review", words[0], "--json", *words[1:]])
@@ -84,7 +84,7 @@ def answered(question: str, *words: str) -> dict[str, Any]:
 
 
 def why(*logs: str) -> dict[str, Any]:
-    """Of each robot the last stop, and each stop that is an event, by its time."""
+    """The last stop of each robot, and each stop that is an event, by its time."""
     _, events = ask("events", *logs)
     found = {}
     for robot in sorted({one["robot"] for one in events}):
@@ -96,7 +96,7 @@ def why(*logs: str) -> dict[str, Any]:
 
 
 def rerun(*logs: str) -> dict[str, Any]:
-    """What came of the runs; of one under other rules, whose decisions come out otherwise, what was run alone."""
+    """The summary; of a log under other rules only what was run, as its decisions differ."""
     code, runs = ask("rerun", *logs)
     others = [run for run in runs if run["rules"] != COMMAND_RULES]
     kept = ("robot", "run", "first", "inputs", "rules")
@@ -105,13 +105,13 @@ def rerun(*logs: str) -> dict[str, Any]:
 
 
 def verify(*logs: str) -> dict[str, Any]:
-    """By the authority that is stored beside the logs, if one is."""
+    """With the authority that is stored beside the logs, if there is one."""
     authority = ["--authority", AUTHORITY] if Path(AUTHORITY).exists() else []
     return answered("verify", *authority, *logs)
 
 
 def digest(values: list[Any]) -> str:
-    """A short hash of a column's values, which hangs on no library's version."""
+    """A short hash of a column's values, independent of library versions."""
     text = json.dumps(values, default=bytes.hex, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
@@ -125,7 +125,7 @@ def plain(table: pa.Table) -> pa.Table:
 
 
 def export(*logs: str) -> dict[str, Any]:
-    """Of each table the rows, and a hash of each column; the raw frames as candump log, likewise."""
+    """Number of rows and a hash of each column per table; likewise the raw frames as candump log."""
     code, said = ask("export", "-o", "tables", *logs)
     if not said:
         return {"exit_code": code}
@@ -151,7 +151,7 @@ def export(*logs: str) -> dict[str, Any]:
 
 
 def recover(*logs: str) -> dict[str, Any]:
-    """What is made whole of logs that are not, and the messages in that; it changes the files."""
+    """The recovered logs and their messages; changes the files."""
     said = answered("recover", *logs)
     files = sorted(path.name for path in Path().iterdir())
     _, made = ask("info", *(name for name in files if name.endswith(".mcap")))
@@ -170,12 +170,12 @@ QUESTIONS: Final[dict[str, Callable[..., dict[str, Any]]]] = {
 
 
 def asked(name: str) -> list[str]:
-    """The questions that a log is asked: what is whole needs no recovery."""
+    """The questions for a log; a whole one needs no recovery."""
     return [question for question in QUESTIONS if question != "recover" or name.startswith(DAMAGED)]
 
 
 def pretty(value: Any, indent: str = "\n") -> str:  # noqa: ANN401 - JSON
-    """JSON with sorted keys, in which what fits on a line stands on one."""
+    """JSON with sorted keys; whatever fits on one line is on one line."""
     line = json.dumps(value, sort_keys=True)
     if len(indent + line) <= LINE or not isinstance(value, dict | list):
         return line
@@ -187,25 +187,24 @@ def pretty(value: Any, indent: str = "\n") -> str:  # noqa: ANN401 - JSON
 
 
 def answer(name: str, question: str) -> str:
-    """Ask a question about a log, in a directory of its own."""
+    """Ask about a log in an empty directory."""
     with TemporaryDirectory() as directory, contextlib.chdir(directory):
         return pretty(QUESTIONS[question](*unpack(name, Path()))) + "\n"
 
 
 def stored(name: str, question: str) -> Path:
-    """Where the answer is stored."""
     return DIRECTORY / name / f"{question}.json"
 
 
 def difference(name: str, question: str) -> str:
-    """The lines in which the answer differs from the stored one, with some around them."""
+    """A diff of stored and current answer."""
     before = stored(name, question).read_text(encoding="utf-8").splitlines()
     now = answer(name, question).splitlines()
     return "\n".join(difflib.unified_diff(before, now, f"{name}/{question}: stored", "now", n=4, lineterm=""))
 
 
 def command() -> int:
-    """Write the answers about these logs, or all; with ``--compare`` print what differs, and change nothing."""
+    """Write the answers about these logs, or all; with ``--compare`` print the differences instead."""
     parser = argparse.ArgumentParser()
     parser.add_argument("logs", nargs="*", default=LOGS)
     parser.add_argument("--compare", action="store_true")

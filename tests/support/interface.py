@@ -1,6 +1,6 @@
-"""All that somebody outside can use, as text: a change of the files in tests/data/interface is one that users see.
+"""Everything that users rely on, as text: a diff in tests/data/interface is a change that users see.
 
-``python -m tests.support.interface`` writes them anew: read what has changed before you commit it.
+``python -m tests.support.interface`` writes the files again; read the diff before you commit it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ROOTS: Final = [Path(__file__).parents[2] / name for name in ("gateway", "record
 
 
 def commands() -> Iterator[str]:
-    """Every command and action with its arguments, in the order of their help; and the exit codes."""
+    """Every command and action with its arguments in the order of the help; and the exit codes."""
     yield f"exit codes: {', '.join(f'{code.value} {code.name.lower()}' for code in ExitCode)}"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(argparse.ArgumentParser, "parse_args", _raise_parser)
@@ -40,7 +40,7 @@ def commands() -> Iterator[str]:
 
 
 class _Declared(BaseException):
-    """A command has declared its arguments; no command takes this for an error of its own."""
+    """Raised once a command has declared its arguments; no command catches it."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         super().__init__()
@@ -82,21 +82,21 @@ def _argument(action: argparse.Action) -> str:
 
 
 def environment() -> Iterator[str]:
-    """Variables of the environment that code names, besides those of the settings."""
+    """Environment variables named in the code, besides those of the settings."""
     pattern = re.compile(r"\"((?:CRUISER|XDG)_[A-Z_]+|HOME|STATE_DIRECTORY|NOTIFY_SOCKET)\"")
     texts = [path.read_text(encoding="utf-8") for root in ROOTS for path in root.rglob("*.py")]
     yield from sorted({name for text in texts for name in pattern.findall(text)})
 
 
 def metrics() -> Iterator[str]:
-    """Every metric that Prometheus reads, with its type and its labels."""
+    """Every Prometheus metric with its type and labels."""
     for family in sorted(text_string_to_metric_families(full_exposition()), key=lambda family: family.name):
         labels = sorted({label for sample in family.samples for label in sample.labels})
         yield " ".join([family.samples[0].name, family.type, *labels])
 
 
 def columns() -> Iterator[str]:
-    """Columns of the catalog and of each exported table; with the numbers of the fields in a log's protobuf."""
+    """Columns of the catalog and of each exported table, with the field numbers of a log's protobuf."""
     yield "catalog.parquet"
     for column in SCHEMA:
         yield f"  {column.name} {column.type}{'' if column.nullable else ' not null'}"
@@ -124,7 +124,6 @@ FILES: Final[dict[str, Callable[[], Iterator[str]]]] = {
 
 
 def text_of(name: str) -> str:
-    """The contents that a file should have."""
     return "".join(f"{line}\n" for line in FILES[name]())
 
 

@@ -1,8 +1,7 @@
-"""Links that are bad, as one table. Pure.
+"""A table of bad links. Pure.
 
-Zenoh runs over TCP. There a message that is lost is sent again, and all that follows waits for it: whoever is at
-the other end sees no loss, but a stall of about one round trip in that direction. What is sent again may be lost
-again.
+Zenoh runs over TCP: a lost message is sent again, and all later ones wait for it. The other end sees no loss, but
+a stall of about a round trip in that direction; what is sent again may be lost again.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ class LinkProfile(msgspec.Struct, frozen=True):
     """A kind of link.
 
     Attributes:
-        one_way_s: the mean delay of a message in either direction.
-        jitter: the delay varies by this share of it, to either side.
-        loss: the share of messages that is lost at first.
-        stall_every_s: nothing comes through in either direction every so often, in the mean; 0 is never...
-        deadman_s: the deadman that such a link needs, as an engage requests it; None is the configured one.
+        one_way_s: mean delay in either direction.
+        jitter: share by which the delay varies to either side.
+        loss: share of messages that is lost at first.
+        stall_every_s, stall_s: mean time between stalls of both directions, and their length; 0 is never.
+        deadman_s: the deadman that an engage requests on such a link; None is the configured one.
     """
 
     name: str
@@ -32,7 +31,6 @@ class LinkProfile(msgspec.Struct, frozen=True):
     deadman_s: float | None = None
 
     def delay_s(self, random: Random) -> float:
-        """Draw how long a message takes one way, in seconds."""
         delay_s = self.one_way_s * (1 + self.jitter * random.uniform(-1, 1))
         while random.random() < self.loss:
             delay_s += 2 * self.one_way_s

@@ -35,7 +35,7 @@ PLAN = LogPlan(
 
 
 class Disk(BytesIO):
-    """A stream with so much room, which takes at most so many bytes in one write."""
+    """A stream with limited capacity, which takes at most so many bytes in one write."""
 
     def __init__(self, room: int | None = None, at_once: int | None = None) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Disk(BytesIO):
 
 
 class Log:
-    """One robot's log, written into memory. Remembers the actions on it."""
+    """One robot's log, written into memory; stores the actions on it."""
 
     def __init__(self, plan: LogPlan = PLAN) -> None:
         self.context = LogContext()
@@ -84,7 +84,7 @@ class Log:
         return self.disk.getvalue()
 
     def apply(self) -> list[Action]:
-        """Apply what the log has asked for since the last call, and return it."""
+        """Apply and return the actions since the last call."""
         actions, self.context.actions = self.context.actions, []
         self.done += actions
         for action in actions:
@@ -101,7 +101,7 @@ class Log:
 
 
 def small_log() -> bytes:
-    """A whole log of a few messages of each sort, with metadata and attachments."""
+    """A whole log: a few messages of each kind, metadata and attachments."""
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in range(5)))
     log.receive(sample_of(batch(0, [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(5)])))
@@ -111,7 +111,7 @@ def small_log() -> bytes:
 
 
 def flipped(data: bytes, place: int | None = None, bits: int = 4) -> bytes:
-    """The log with wrong bits there, or in its first packed chunk."""
+    """The log with bits flipped there, or in its first compressed chunk."""
     place = data.index(b"zstd") + 30 if place is None else place
     return data[:place] + bytes([data[place] ^ bits]) + data[place + 1 :]
 
@@ -121,7 +121,6 @@ def logs_in(directory: Path) -> list[str]:
 
 
 def channel_of(kind: type[msgspec.Struct], channel_id: int = 1, topic: str = "t") -> LogChannel:
-    """A channel of messages of a class of ours."""
     return LogChannel(channel_id, topic, schema_name(kind), descriptor_set(kind))
 
 
@@ -142,12 +141,11 @@ def gear_message(sequence: int, log_ns: int, channel_id: int = 1) -> tuple[int, 
 
 
 def gears(first: int, count: int, start_ns: int, step_ns: int = 10) -> Chunk:
-    """A chunk of so many gear messages."""
     return [gear_message(first + number, start_ns + number * step_ns) for number in range(count)]
 
 
 def sealed(messages: Iterable[tuple[int, int, int, int, bytes]]) -> PackedMessages:
-    """A chunk to be written: channel, sequence, log time, publish time and data of each message."""
+    """A chunk of messages: channel, sequence, log time, publish time, data."""
     builder = ChunkBuilder()
     for message in messages:
         builder.add(*message)
@@ -165,7 +163,7 @@ def mcap_log(
     is_finished: bool = True,
     disk: Disk | None = None,
 ) -> bytes:
-    """A log of chunks, whose messages are channel, sequence, log time, publish time and data."""
+    """A log of chunks of messages: channel, sequence, log time, publish time, data."""
     disk = disk or Disk()
     file = McapFile(disk, "test")
     for channel in channels:
@@ -188,13 +186,13 @@ def own_log(
     metadata: Iterable[tuple[str, dict[str, str]]] = (),
     attachments: Iterable[tuple[str, bytes]] = (),
 ) -> bytes:
-    """A log of chunks whose messages are published when they are logged; of gears, if no channel is named."""
+    """A log of chunks whose messages are published when they are logged; of gears by default."""
     timed = ([(one, number, ns, ns, data) for one, number, ns, data in chunk] for chunk in chunks)
     return mcap_log(channels, timed, metadata, attachments)
 
 
 def numbered_log(channels: Iterable[LogChannel], chunks: Iterable[Iterable[tuple[int, bytes]]]) -> bytes:
-    """A log of chunks whose messages are channel and data: one a nanosecond, published in the reverse order."""
+    """A log of chunks of channel and data: one a nanosecond, published in reverse order."""
     numbers = count()
     timed = (
         [(one, n := next(numbers), WALL_NS + n, WALL_NS - n, data) for one, data in chunk] for chunk in chunks
@@ -213,7 +211,7 @@ def foreign_log(
     profile: str = "",
     **given: Any,  # noqa: ANN401 - the writer's own arguments
 ) -> bytes:
-    """A file of the mcap package's writer: schemas and channels stand in its chunks."""
+    """A file of the mcap package's writer: schemas and channels are inside its chunks."""
     stream = BytesIO()
     writer = Writer(stream, compression=compression, **given)
     writer.start(profile)
@@ -237,7 +235,7 @@ def saved(path: Path, data: bytes) -> Path:
 
 
 def read_records(data: bytes, *, lines: bool = False) -> list[tuple[str, str, McapMessage, Any]]:
-    """Topic, schema, record and content of every message; of events' second form only if they are wanted."""
+    """Topic, schema, record and content of every message; ``lines`` adds the events' second form."""
     reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
     return [
         (channel.topic, schema.name if schema else "", message, content)

@@ -8,7 +8,7 @@ from tests.support.links import LinkProfile
 
 
 class _Direction:
-    """One way of a link: messages come out in their order."""
+    """One direction of a link, in order."""
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[int, Any]] = deque()
@@ -16,11 +16,7 @@ class _Direction:
 
 
 class LossyLink:
-    """Both ways of a link.
-
-    Attributes:
-        profile: what kind of link it is now; what is under way keeps its delay.
-    """
+    """Both directions of a link; messages under way keep their delay when ``profile`` changes."""
 
     def __init__(self, profile: LinkProfile, seed: int) -> None:
         self.is_cut = False

@@ -1,6 +1,6 @@
-"""Messages and samples, made up: what a chassis, its gateway, its arbiter and a recorder publish.
+"""Messages and samples as a chassis, its gateway, its arbiter and a recorder publish them.
 
-The constants are whole messages to be changed by ``msgspec.structs.replace``; the functions make one of a series.
+The constants are whole messages, to be changed by ``msgspec.structs.replace``; the functions make one of a series.
 """
 
 from functools import lru_cache
@@ -164,8 +164,6 @@ HEALTH: Final = GatewayHealth(
 
 
 class FakeSample(msgspec.Struct, frozen=True):
-    """A sample that never was on Zenoh."""
-
     key: str
     encoding: str
     payload: bytes
@@ -184,7 +182,7 @@ def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
 
 
 def logged_topics(key: str = "fleet/cruiser-1", bus: str = "can0") -> dict[str, type]:
-    """By name: the class of their messages."""
+    """The class of each topic's messages."""
     return {
         f"{key}/{name.format(bus=bus)}": CanFrame if subject.type is CanFrames else subject.type
         for name, subject in BY_NAME.items()
@@ -192,7 +190,6 @@ def logged_topics(key: str = "fleet/cruiser-1", bus: str = "can0") -> dict[str, 
 
 
 def sample_of(message: Message, robot: str = ROBOT, root: str = ROOT) -> ReceivedSample:
-    """The sample that a gateway publishes of a message."""
     kind = type(message)
     return FakeSample(key_of(kind, robot, root), BY_TYPE[kind].encoding, codec.encode(message))
 
@@ -208,7 +205,7 @@ def gear(sequence: int, time_ns: int = WALL_NS) -> Gear:
 
 
 def feedback(counter: int) -> bytes:
-    """A gear feedback frame's data, checksum included."""
+    """A gear feedback frame's data with its checksum."""
     data = bytes([1, 4, 0, 0, 0, 0, counter % 16 << 4])
     checksum = 0
     for byte in data:
@@ -217,7 +214,7 @@ def feedback(counter: int) -> bytes:
 
 
 def batch(sequence: int, frames: list[tuple[int, bytes]], dropped: int = 0) -> CanFrames:
-    """A batch of gear feedback frames: receive time and data of each."""
+    """A batch of gear feedback frames, from receive time and data of each."""
     return CanFrames(
         time_ns=WALL_NS,
         sequence=sequence,
@@ -232,12 +229,10 @@ def batch(sequence: int, frames: list[tuple[int, bytes]], dropped: int = 0) -> C
 
 
 def safety_event(kind: EventKind, severity: Severity = Severity.WARNING, sequence: int = 0) -> SafetyEvent:
-    """What a gateway says when something happens."""
     return SafetyEvent(WALL_NS, sequence, 0, severity, kind, Reason.NONE, "", "as it were")
 
 
 def info(variant: Variant = Variant.COARSE, sequence: int = 0, dbc: str = 'VERSION "1"\n') -> GatewayInfo:
-    """A gateway's answer."""
     return GatewayInfo(
         time_ns=WALL_NS,
         sequence=sequence,
@@ -256,7 +251,7 @@ def info(variant: Variant = Variant.COARSE, sequence: int = 0, dbc: str = 'VERSI
 
 
 def gateway_info(number: int, configuration: str = "[can]\n", **fields: Any) -> GatewayInfo:  # noqa: ANN401 - any field
-    """The answer of a gateway that was started so many periods after the beginning."""
+    """The info of a gateway that started so many periods after the beginning."""
     made = {
         "time_ns": WALL_NS + number * PERIOD_NS,
         "started_ns": WALL_NS + number * PERIOD_NS,
@@ -304,7 +299,7 @@ def arbiter(number: int, **fields: Any) -> SafetyState:  # noqa: ANN401 - any fi
 
 
 def event(number: int, kind: EventKind = EventKind.STOP, **fields: Any) -> SafetyEvent:  # noqa: ANN401 - any field of the message
-    """Something that happened at that time: a stop, because the front bumper was hit."""
+    """An event at that time: a stop, because the front bumper was hit."""
     known = SafetyEvent(
         time_ns=WALL_NS + number * PERIOD_NS,
         sequence=number,
@@ -319,7 +314,7 @@ def event(number: int, kind: EventKind = EventKind.STOP, **fields: Any) -> Safet
 
 
 def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field of the message
-    """A drive command that was refused at that time: operator-2 holds no lease."""
+    """A refused drive command at that time: operator-2 holds no lease."""
     known = Decision(
         time_ns=WALL_NS + number * PERIOD_NS,
         sequence=number,
@@ -343,7 +338,7 @@ def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field
 
 
 def health(number: int, lost: int, losses: int = 0, faults: dict[str, int] | None = None) -> GatewayHealth:
-    """The gateway's health at that time: so many frames and buses lost, and other faults, since it started."""
+    """The gateway's health at that time: frames and buses lost and other faults since its start."""
     frame = msgspec.structs.replace(HEALTH.feedback[0], valid=1000, lost=lost)
     return msgspec.structs.replace(
         HEALTH,
@@ -367,7 +362,6 @@ def can_frame(
     is_error: bool = False,
     is_fd: bool = False,
 ) -> CanFrame:
-    """A frame as a log has it."""
     return CanFrame(
         time_ns=time_ns,
         bus="can0",

@@ -54,7 +54,7 @@ WALL_S: Final = 1_700_000_000.0
 
 
 def received(message: Message, name: str = "", encoding: str = "") -> Received:
-    """A message as it arrives, of a robot or of a recorder."""
+    """A message of a robot or a recorder as it arrives."""
     subject = BY_TYPE[type(message)]
     if isinstance(message, RecorderHealth):
         key = keys.of_recorder(ROOT, name or "depot", subject.name)
@@ -64,12 +64,11 @@ def received(message: Message, name: str = "", encoding: str = "") -> Received:
 
 
 def token(robot: str = ROBOT, *, present: bool = True) -> TokenChange:
-    """A liveliness token that appears or goes."""
     return TokenChange(keys.liveliness(ROOT, robot), present)
 
 
 def fleet(*heard: Received | TokenChange, now_ns: int = START_NS) -> FleetMetrics:
-    """The metrics of a fleet that was heard to say all this at the start."""
+    """The metrics after all of this was received at the start."""
     metrics = FleetMetrics(ROOT, "1.2.3", certificate_ends_s=1_800_000_000)
     metrics.linked = True
     for one in heard:
@@ -88,18 +87,18 @@ def exposition(metrics: FleetMetrics, now_ns: int = START_NS) -> str:
 
 
 def series(metrics: FleetMetrics, now_ns: int = START_NS) -> dict[str, float]:
-    """The values by name and labels, as in the exposition."""
+    """The values by name and labels."""
     lines = (line for line in exposition(metrics, now_ns).splitlines() if not line.startswith("#"))
     return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines)}
 
 
 def full_exposition() -> str:
-    """Of a robot and a recorder with every value, and a robot that is silent."""
+    """A robot and a recorder with every value, and a silent robot."""
     return exposition(fleet(token("silent"), token(), *map(received, FULL)))
 
 
 def queries() -> list[str]:
-    """The dashboard's, with its variables filled in."""
+    """The dashboard's queries with their variables filled in."""
     found: list[str] = []
 
     def visit(part: Any) -> None:  # noqa: ANN401 - any part of a JSON file
@@ -115,5 +114,5 @@ def queries() -> list[str]:
 
 
 def names_in(text: str) -> set[str]:
-    """The metrics of ours that rules or queries name."""
+    """Our metrics that rules or queries name."""
     return set(re.findall(r"\bcruiser_\w+", text))

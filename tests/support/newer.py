@@ -31,7 +31,7 @@ def newer(encoding: str, by: int = 1) -> str:
 
 
 def with_new_fields(message: msgspec.Struct, **fields: object) -> bytes:
-    """The payload with fields that this version does not have, or with other values."""
+    """The payload with unknown fields, or with other values."""
     values: dict[str, Any] = msgpack.unpackb(msgspec.msgpack.encode(message))
     payload: bytes = msgpack.packb(values | (fields or {"new_field": [1, {"new": True}]}))
     return payload
@@ -65,7 +65,7 @@ def enumerations(kind: type[msgspec.Struct]) -> list[tuple[str, ...]]:
 
 
 def with_new_word(message: msgspec.Struct, path: tuple[str, ...], word: str = NEW_WORD) -> bytes:
-    """The payload with a value, at the end of a path, that the enumeration there does not have."""
+    """The payload with an unknown enumeration value at the end of a path."""
     values: Any = msgpack.unpackb(msgspec.msgpack.encode(message))
     inner = values
     for name in path[:-1]:
@@ -76,7 +76,7 @@ def with_new_word(message: msgspec.Struct, path: tuple[str, ...], word: str = NE
 
 
 def value_at(message: msgspec.Struct, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - whatever the field holds
-    """The value at the end of a path; of a list its last one."""
+    """The value at the end of a path; the last one of a list."""
     value: Any = message
     for name in path:
         value = getattr(value, name)
@@ -85,7 +85,7 @@ def value_at(message: msgspec.Struct, path: tuple[str, ...]) -> Any:  # noqa: AN
 
 @st.composite
 def growing_fields(draw: st.DrawFn) -> tuple[msgspec.Struct, tuple[str, ...]]:
-    """Any message or reply that holds values of enumerations, and the path of one."""
+    """Any message or reply with values of enumerations, and the path of one."""
     kind = draw(st.sampled_from([kind for kind in READ if enumerations(kind)]))
     return draw(any_of(kind)), draw(st.sampled_from(enumerations(kind)))
 
@@ -98,5 +98,5 @@ def grown_messages(draw: st.DrawFn) -> tuple[Subject, Message, tuple[str, ...]]:
 
 
 def is_new(value: object) -> bool:
-    """It is the word that only the newer version has."""
+    """It is the newer version's value."""
     return isinstance(value, Enum) and value.value == NEW_WORD and value not in list(type(value))

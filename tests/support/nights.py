@@ -1,7 +1,4 @@
-"""Matrices of tests: by day a selection of their rows, all of them in ``make nightly``.
-
-A row that is marked ``night`` runs with ``--hypothesis-profile nightly`` alone: see ``tests/conftest.py``.
-"""
+"""Matrices of tests: by day some of their rows, all of them in ``make nightly`` (see ``tests/conftest.py``)."""
 
 from collections.abc import Sequence
 from itertools import combinations, product
@@ -11,27 +8,27 @@ import pytest
 
 
 def by_night(*values: Any) -> Any:  # noqa: ANN401 - whatever a test is given, and what pytest makes of it
-    """A row of a parametrised test that is tried by night alone."""
+    """A row that runs by night only."""
     return pytest.param(*values, marks=pytest.mark.night)
 
 
 def seeds(by_day: int, in_all: int) -> list[Any]:
-    """So many seeds of a random scene; by day the first few of them."""
+    """So many seeds; by day the first few."""
     return [seed if seed < by_day else by_night(seed) for seed in range(in_all)]
 
 
 def some_by_day(values: Sequence[Any], step: int) -> list[Any]:
-    """All of these values; by day the first one, and each one that is so many further on."""
+    """All values; by day every ``step``-th."""
     return [by_night(value) if number % step else value for number, value in enumerate(values)]
 
 
 def every_value(*factors: Sequence[Any]) -> list[Any]:
-    """Every combination of these values; by day as few as have each value at least once."""
+    """Every combination of these values; by day as few as cover each value."""
     return _covering(1, factors)
 
 
 def every_pair(*factors: Sequence[Any]) -> list[Any]:
-    """Every combination of these values; by day as few as have each two values together at least once."""
+    """Every combination of these values; by day as few as cover each pair of values."""
     return _covering(2, factors)
 
 
@@ -49,5 +46,5 @@ def _covering(strength: int, factors: Sequence[Sequence[Any]]) -> list[Any]:
 
 
 def _parts(row: tuple[int, ...], strength: int) -> set[tuple[tuple[int, int], ...]]:
-    """Every so many factors of a row, with their values: two of them as ``((0, 2), (1, 0))``."""
+    """Every ``strength`` factors of a row with their values, such as ``((0, 2), (1, 0))``."""
     return set(combinations(enumerate(row), strength))

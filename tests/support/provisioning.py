@@ -27,14 +27,14 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def run(*words: str | Path) -> int:
-    """Run ``cruiser provision`` with these words. Returns its exit code."""
+    """Run ``cruiser provision``. Returns its exit code."""
     arguments = _parser().parse_args(list(map(str, words)))
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     return provision.run(arguments, load_settings(None, os.environ, flags), lambda: False)
 
 
 class ProvisionedFleet:
-    """Directories of a fleet below one directory: standby and authority, and whom they let in."""
+    """Standby, authority and enrolled parties of a fleet below one directory."""
 
     def __init__(self, place: Path, endpoint: str = ENDPOINT) -> None:
         self.place = place
@@ -51,7 +51,7 @@ class ProvisionedFleet:
         return Issuer.open(KeyStore(self.authority)).fingerprint
 
     def request(self, role: str, name: str, place: str = "") -> Path:
-        """The request of somebody new, whose keys are in a directory of its own, or in that place."""
+        """The request of a new party, whose keys are in a directory of its own, or in that place."""
         file = self.place / f"{role}-{name}.request"
         run(role, name, "--directory", self.place / (place or name), "-o", file)
         return file
@@ -62,7 +62,7 @@ class ProvisionedFleet:
         return request.with_suffix(".bundle")
 
     def let_in(self, role: str, name: str, *words: str, by: str = "authority") -> Path:
-        """Everything for somebody new. Returns the directory of the keys."""
+        """Enrol a new party. Returns the directory of its keys."""
         bundle = self.sign(self.request(role, name), *words, by=by)
         run("install", bundle, "--directory", self.place / name, "--fingerprint", self.fingerprint)
         return self.place / name

@@ -1,7 +1,6 @@
 """The modules that each process loads at its start: ``make reach``.
 
-Read from the sources, without running them: imports at the top of a module count, those in functions and those for
-types alone do not.
+Read from the sources: imports at the top of a module count, those in functions or for types alone do not.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ PROCESSES: Final = {
 
 
 def modules() -> dict[str, Path]:
-    """The product's modules by their names, packages too."""
+    """The product's modules and packages by name."""
     found = {}
     for package in ("gateway", "recorder", "schemas"):
         for path in sorted((ROOT / package).rglob("*.py")):
@@ -56,7 +55,7 @@ def _imported(body: list[ast.stmt], known: dict[str, Path]) -> Iterator[str]:
 
 
 def reached(starts: tuple[str, ...], found: dict[str, set[str]]) -> set[str]:
-    """All that is loaded with these."""
+    """All modules that are loaded with these."""
     seen: set[str] = set()
     waiting = list(starts)
     while waiting:
@@ -68,7 +67,7 @@ def reached(starts: tuple[str, ...], found: dict[str, set[str]]) -> set[str]:
 
 
 def main() -> None:
-    """Print the modules of each process by their folders, and how many they are; packages do not count."""
+    """Print the modules of each process by folder, and their number without packages."""
     known, found = modules(), imports()
     for process, starts in PROCESSES.items():
         names = sorted(name for name in reached(starts, found) if known[name].name != "__init__.py")

@@ -20,7 +20,7 @@ from tests.support.messages import ROBOT, WALL_NS
 
 
 class Read:
-    """What the mcap package reads of a file, every checksum verified."""
+    """A file as the mcap package reads it, every checksum verified."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as stream:
@@ -49,7 +49,7 @@ def logs_of(*paths: Path) -> list[LogFile]:
 
 
 def topic(name: str, kind: type[msgspec.Struct] = CanFrame) -> Topic:
-    """The topic of one file; another call gives that of another file."""
+    """A topic of a file; another call gives that of another file."""
     channel = records.Channel(1, name, "protobuf", {}, 1)
     return topic_of(channel, records.Schema(1, descriptor_set(kind), "protobuf", schema_name(kind)))
 
@@ -59,23 +59,21 @@ _RAW = compile_encoder(RawSample)
 
 
 def row_of(of: Topic, frame: CanFrame, sequence: int = 0, log_ns: int = WALL_NS) -> Row:
-    """A frame's row."""
     return Row(of, sequence, log_ns, frame.time_ns, _FRAME(frame))
 
 
 def raw_row(of: Topic, raw: RawSample) -> Row:
-    """The row of a sample that was kept as it was."""
+    """The row of a sample that was stored undecoded."""
     return Row(of, 0, WALL_NS, WALL_NS, _RAW(raw))
 
 
 def report_of(*paths: Path, faults: Faults | None = None) -> Report:
-    """The report of these logs."""
     told = Faults() if faults is None else faults
     return read_report(find_logs(paths, told), Selection(), told, version="0.1.0")
 
 
 def entry(kind: EntryKind, time_ns: int, text: str = "", **fields: Any) -> Entry:  # noqa: ANN401 - any field
-    """What happened to a robot at a time."""
+    """An entry about a robot at a time."""
     plain = Entry(
         time_ns=time_ns,
         last_ns=time_ns,

@@ -1,7 +1,4 @@
-"""Routers that nodes meet at: our own, or the ``zenohd`` that ``ZENOHD`` names; both run from the same file.
-
-``make test-zenohd`` runs tests of signed mode once more, with Zenoh's own router in the place of ours.
-"""
+"""Routers: ours, or the ``zenohd`` that ``ZENOHD`` names (``make test-zenohd``); both run from the same file."""
 
 from __future__ import annotations
 
@@ -40,7 +37,7 @@ MESSAGES: Final = (
 
 
 class Zenohd:
-    """Zenoh's own router in a process of its own, from a file; it listens."""
+    """Zenoh's own router as a process, from a file, listening."""
 
     def __init__(self, file: Path, *words: str) -> None:
         self.process = subprocess.Popen([PROGRAM, "-c", str(file), *words], stdin=subprocess.DEVNULL)
@@ -54,16 +51,12 @@ class Zenohd:
             raise
 
     def close(self) -> None:
-        """End it, as a service manager does."""
         self.process.terminate()
         self.process.wait(30)
 
 
 class WatchedRouter:
-    """A router, and a session at which all that passes it is seen.
-
-    Of ours that is its own session. Zenoh's shows it to a node for which a row is added to its file.
-    """
+    """A router, and a session that sees all that passes it; for zenohd its file gets one more row."""
 
     def __init__(self, network: Network, file: Path) -> None:
         self._zenohd: Zenohd | None = None
@@ -86,7 +79,7 @@ class WatchedRouter:
 
 @contextmanager
 def routing(file: Path) -> Iterator[None]:
-    """A router that nobody watches: of ours a session in this process."""
+    """A router that nothing watches; ours is a session in this process."""
     router: Zenohd | zenoh.Session = Zenohd(file) if PROGRAM else open_router(file, [])[0]
     try:
         yield
@@ -96,7 +89,6 @@ def routing(file: Path) -> Iterator[None]:
 
 @contextmanager
 def router_process(file: Path) -> Iterator[None]:
-    """A router in a process of its own."""
     if PROGRAM:
         with routing(file):
             yield
@@ -107,7 +99,7 @@ def router_process(file: Path) -> Iterator[None]:
 
 
 def _with_watcher(file: Path) -> Path:
-    """A router's file with one more row: nodes of the role that no other row has see all that passes."""
+    """The file with one more row: nodes of an otherwise unused role see all that passes."""
     said = json.loads(file.read_text("utf-8"))
     access = said["access_control"]
     row = {

@@ -1,4 +1,4 @@
-"""Runs of a gateway in signed mode, made sample by sample, and the logs of them."""
+"""Runs of a gateway in signed mode, made sample by sample, and their logs."""
 
 from __future__ import annotations
 
@@ -40,11 +40,7 @@ CHALLENGE = b"ch-" + bytes(5)
 
 
 class SignedRun:
-    """One run of the gateway of a robot.
-
-    Attributes:
-        samples: what it published of itself, in its order.
-    """
+    """One run of a robot's gateway; ``samples`` are what it published, in order."""
 
     def __init__(
         self,
@@ -86,7 +82,7 @@ class SignedRun:
         attachment: bytes | None = None,
         credentials: Credentials | None = None,
     ) -> None:
-        """A request comes. Unless said otherwise it is signed as it should be, and accepted."""
+        """A request; by default it is signed correctly, and accepted."""
         name = operator or by.name
         key = keys.command("fleet", ROBOT, name, verb)
         proof = by.prove(key, BY_VERB[verb].encoding, payload, CHALLENGE) if attachment is None else attachment
@@ -113,7 +109,7 @@ class SignedRun:
         )  # fmt: skip
 
     def seconds(self, count: int, *, quiet: bool = False) -> None:
-        """So much time passes: journals, and decisions and an event unless nobody is there."""
+        """Let time pass: journals, decisions and an event."""
         for _ in range(count):
             for _ in range(PER_SECOND):
                 self.time_ns += JOURNAL_NS
@@ -162,7 +158,7 @@ def driven(fleet: Fleet, seconds: int = 6, **how: Any) -> tuple[SignedRun, Party
 
 
 def log_of(samples: Iterable[Message], *, late_ns: int = 2_000_000) -> bytes:
-    """The log of these samples, each received so much later, as a recorder writes it."""
+    """The log of these samples, each received so much later."""
     log = Log()
     for message in samples:
         log.receive(sample_of(message), wall_ns=message.time_ns + late_ns)
@@ -170,7 +166,7 @@ def log_of(samples: Iterable[Message], *, late_ns: int = 2_000_000) -> bytes:
 
 
 def of(samples: Sequence[Message], kind: type[Message]) -> list[int]:
-    """The places of the samples of a kind."""
+    """The positions of the samples of a kind."""
     return [place for place, one in enumerate(samples) if type(one) is kind]
 
 
@@ -181,14 +177,14 @@ def replaced(samples: Sequence[Message], place: int, **changes: Any) -> list[Mes
 
 
 def recorder_of(fleet: Fleet, **changes: Any) -> LogSigner:  # noqa: ANN401 - fields of a grant
-    """What signs the logs of a recorder of a fleet."""
+    """The signer of a fleet's recorder."""
     recorder = Party("depot-1")
     fleet.authority.grant(recorder, **({"role": GrantRole.RECORDER} | changes))
     return LogSigner(Identity(recorder.private, recorder.chain, fleet.trust))
 
 
 def signed(log: Path, signer: LogSigner) -> Path:
-    """A log, now that its recorder has signed it."""
+    """The log, signed by its recorder."""
     sha256 = hashlib.sha256(log.read_bytes()).hexdigest()
     log.with_name(log.name + SIGNATURE_SUFFIX).write_bytes(signer.sign(sha256, log.name))
     return log

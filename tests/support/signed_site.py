@@ -1,4 +1,4 @@
-"""A fleet in signed mode for system tests: one robot, one operator, their files, and what runs on them."""
+"""A fleet in signed mode for system tests: one robot, one operator, their files and processes."""
 
 from __future__ import annotations
 
@@ -26,8 +26,6 @@ LIMIT_MPS, WANTED_MPS = 0.4, 0.8
 
 
 class Site:
-    """A fleet with one robot and one operator, their files, and where the robot is reached."""
-
     def __init__(self, directory: Path) -> None:
         self.fleet = Fleet()
         self.directory = directory
@@ -41,7 +39,7 @@ class Site:
         self.settings = self.settings_of("operator", self.operator)
 
     def write(self, who: str, party: Party) -> str:
-        """Somebody's files, and a configuration that names them; its path."""
+        """Write a party's files and configuration. Returns its path."""
         directory = provision(self.directory / f"{who}-{party.name}", who, party, self.fleet)
         configuration = directory / "cruiser.toml"
         configuration.write_text(
@@ -58,7 +56,7 @@ class Site:
         )
 
     def show(self, session: zenoh.Session, text: str) -> StatementReply:
-        """Shows the robot a statement, until it answers."""
+        """Show the robot a statement until it answers."""
         replies: list[StatementReply] = []
 
         def answered() -> bool:
@@ -73,10 +71,7 @@ class Site:
 
 @contextmanager
 def driving(site: Site) -> Iterator[tuple[Robot, Lease]]:
-    """The operator, whose robot is engaged and drives.
-
-    On a busy machine the robot may stop by its rules before: then it is engaged anew.
-    """
+    """The operator drives; engages again where a busy machine stopped the robot first."""
     found: list[tuple[Robot, Lease]] = []
     with ExitStack() as stack:
 

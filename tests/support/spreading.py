@@ -1,7 +1,6 @@
-"""Spread tests over the workers of pytest-xdist: ``--dist loadfile``, but for system tests that share nothing.
+"""Spread tests over the workers of pytest-xdist: ``--dist loadfile``, but system tests go one by one.
 
-A file of system tests may take minutes, most of which are waits: its tests go one by one to whoever is free. Those
-of a file in which tests share what they started, and all others, stay together.
+Most of a system test is waiting. Files whose tests share a module's fixture stay together, and so do all others.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ SHARED: Final = 'scope="module"'
 
 
 class Spreading(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist has no types
-    """Hands out tests of the system one by one, others file by file, in the order in which they were collected."""
+    """Hands out system tests one by one, others file by file, in the order of collection."""
 
     def __init__(self, config: pytest.Config, log: Any) -> None:  # noqa: ANN401 - pytest-xdist's own
         super().__init__(config, log)
@@ -31,7 +30,7 @@ class Spreading(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist has 
 
 
 def scope_of(nodeid: str, root: Path) -> str:
-    """The name of the unit of work that a test belongs to."""
+    """The unit of work of a test."""
     file, _, _ = nodeid.partition("::")
     return nodeid if file.startswith(SYSTEM) and not _shares(root / file) else file
 

@@ -58,7 +58,7 @@ PLAUSIBLE_VALUES = {
 
 @st.composite
 def plausible_payloads(draw: st.DrawFn, layout: MessageLayout) -> bytes:
-    """Any data of a frame whose values this chassis can have."""
+    """Any data of a frame with values that this chassis can have."""
     word = int.from_bytes(draw(payloads), "little")
     for signal in layout.signals:
         if signal.name in PLAUSIBLE_VALUES:
@@ -71,7 +71,7 @@ def plausible_payloads(draw: st.DrawFn, layout: MessageLayout) -> bytes:
 
 
 def with_checksum(data: bytes) -> bytes:
-    """The same data with the right checksum."""
+    """The data with its right checksum."""
     checksum = 0
     for byte in data[:7]:
         checksum ^= byte
@@ -79,7 +79,6 @@ def with_checksum(data: bytes) -> bytes:
 
 
 def identify(layout: MessageLayout) -> str:
-    """A test's name for a layout."""
     wheel = "fine" if layout in load(Variant.FINE).messages.values() else "coarse"
     return f"{wheel}-{layout.name}"
 
@@ -94,25 +93,24 @@ ANYTHING = st.recursive(
 
 
 def message_of(kind: type[Message]) -> st.SearchStrategy[Message]:
-    """Any message of this class."""
     return _values(inspect.type_info(kind))
 
 
 @st.composite
 def subjects_and_messages(draw: st.DrawFn) -> tuple[Subject, Message]:
-    """Any subject and any message of it."""
+    """Any subject with any of its messages."""
     subject = draw(st.sampled_from(SUBJECTS))
     return subject, draw(message_of(subject.type))
 
 
 def any_of(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
-    """Anything of this class: a message, a request or a reply."""
+    """Any message, request or reply of this class."""
     return _values(inspect.type_info(kind))
 
 
 @st.composite
 def commands_and_requests(draw: st.DrawFn) -> tuple[Command, Request]:
-    """Any verb and any request of it."""
+    """Any verb with any of its requests."""
     command = draw(st.sampled_from(COMMANDS))
     request: Request = draw(any_of(command.request))
     return command, request

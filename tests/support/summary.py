@@ -1,4 +1,4 @@
-"""``make test``: the runs of pytest, and after all that they and their libraries say one line that sums up."""
+"""``make test``: run pytest, and sum its runs up in the last line."""
 
 import re
 import signal
@@ -15,7 +15,7 @@ FIRST: Final = ("failed", "errors", "passed", "skipped")
 
 
 def summed(lines: Iterable[str]) -> str:
-    """Return the sum of the runs whose output this is."""
+    """The sum of the runs in this output."""
     counts = Counter[str]()
     for line in lines:
         if found := SUMMARY.match(line):
@@ -26,7 +26,7 @@ def summed(lines: Iterable[str]) -> str:
 
 
 def main() -> int:
-    """Run the command, and pass on its exit code."""
+    """Run the command. Returns its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # It is the command's, which says so.
     command = subprocess.Popen(
         sys.argv[1:], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"

@@ -24,7 +24,7 @@ def wait_until(
 
 
 class StopWhen:
-    """A command's ``stopped``: acts each time that it is asked, and is true once the condition holds."""
+    """A command's ``stopped``: acts at each call, and is true once the condition holds."""
 
     def __init__(self, condition: Callable[[], bool], act: Callable[[], None] = nothing) -> None:
         self._condition = condition

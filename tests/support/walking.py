@@ -9,7 +9,7 @@ from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBloc
 
 
 def walk(stream: BinaryIO, size: int) -> Iterator[Piece | LoggedMessage]:
-    """Read a file whole; every checksum is verified."""
+    """Read a whole file, every checksum verified."""
     for piece in read_pieces(stream, size):
         if isinstance(piece, PackedChunk):
             try:

@@ -12,7 +12,7 @@ from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 @pytest.fixture(scope="session", autouse=True)
 def _patient_gateways() -> Iterator[None]:
-    """For every gateway that a test starts, unless the test says otherwise."""
+    """A long deadman for every gateway, unless a test sets its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CRUISER_COMMAND_DEADMAN_S", str(PATIENT_DEADMAN_S))
         yield
@@ -26,7 +26,7 @@ FOREIGN_MODULES: Final = ("argparse", "gateway", "multiprocessing", "recorder")
 def beside_foreign_modules(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[None]:
-    """In a working directory with Python files that somebody has sent: no process may execute one."""
+    """A working directory with foreign Python files: no process may execute one."""
     directory = tmp_path_factory.mktemp("foreign")
     for name in FOREIGN_MODULES:
         (directory / f"{name}.py").write_text(

@@ -1,7 +1,7 @@
-"""Every command of docs/authority.md, in its order, each on a machine of its own, with real processes.
+"""Every command of docs/authority.md, in order, each on its own machine, with real processes.
 
-A machine is a home directory; the directory that travels between them is where all commands run. Only hosts, ports
-and the CAN bus differ from the page. Whoever asks for a passphrase has a terminal, and gets one.
+A machine is a home directory; all commands run in the directory that travels between them. Only hosts, ports and
+the CAN bus differ from the page. A command that asks for a passphrase has a terminal.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ NOT_HERE: Final = {"cruiser drive cruiser-1": "wants somebody at the keys; tests
 
 
 def commands() -> list[tuple[str, str]]:
-    """Machine and command, of all indented blocks. A block begins with its machine."""
+    """Machine and command of all indented blocks, each of which begins with its machine."""
     found: list[tuple[str, str]] = []
     for block in re.findall(r"(?:^    .*\n)+", PAGE.read_text("utf-8"), flags=re.MULTILINE):
         first, *lines = (line.strip() for line in block.splitlines())
@@ -64,12 +64,12 @@ def commands() -> list[tuple[str, str]]:
 
 
 def test_what_is_expected_stands_on_the_page() -> None:
-    """Nothing here is left over from a page of before."""
+    """No expectation is left over."""
     assert {*STAYS, *REPEATS, *SAYS, *NOT_HERE} <= {command for _, command in commands()}
 
 
 class Page:
-    """Machines, and what runs on them."""
+    """Machines and their processes."""
 
     def __init__(self, place: Path) -> None:
         self.place = place
@@ -83,7 +83,7 @@ class Page:
         self.start("robot", f"cruiser sim --listen {self._chassis}", " on 127")
 
     def run(self, machine: str, command: str) -> None:
-        """Run a command to its end, at a terminal; it succeeds, and says what it is to say."""
+        """Run a command at a terminal: it succeeds, and prints what it should."""
         export = re.fullmatch(r"export ([A-Z_]+)=(.+)", command)
         if export is not None:
             home = str(self._home(machine))
@@ -96,7 +96,6 @@ class Page:
         self._fingerprint = (re.findall(r"of authority ([0-9a-f-]{39})", shown) or [self._fingerprint])[-1]
 
     def start(self, machine: str, command: str, says: str) -> subprocess.Popen[str]:
-        """Start a command, and see that it works."""
         log = self.place / f"{len(self._running)}.log"
         with log.open("w") as output:
             process = subprocess.Popen(
@@ -115,7 +114,7 @@ class Page:
     def repeat(self, machine: str, command: str, says: str) -> None:
         """Start a command that asks again and again, see that it works, and end it.
 
-        A busy machine's robot may not answer its first question, and the next one is a minute away or more.
+        A busy machine's robot may miss its first question, and the next is a minute away.
         """
 
         def has_said() -> bool:
@@ -199,7 +198,6 @@ class Page:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    """Machines on which ``cruiser`` is installed, and nothing else."""
     programs = tmp_path / "bin"
     programs.mkdir()
     cruiser = programs / "cruiser"

@@ -14,7 +14,7 @@ MOVES, FAILS = 5, 1
 
 
 class Machine:
-    """A machine with the package on it, as its scripts see one: their paths lead into a directory."""
+    """A machine with the package, as its scripts see one: their paths lead into a directory."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -29,7 +29,7 @@ class Machine:
         self.set()
 
     def set(self, *, look: int = 0, status: str = "standby, bus up, guarded") -> None:
-        """What a look at the bus finds, and what the gateway says; nothing, if it is dead."""
+        """What a look at the bus finds, and the gateway's status; empty if it is dead."""
         self.program("python3", f"exit {look}")
         self.program(
             "systemctl",
@@ -37,13 +37,13 @@ class Machine:
         )
 
     def program(self, name: str, text: str) -> None:
-        """A program that notes how it is called."""
+        """A program that notes its calls."""
         path = self.root / "bin" / name
         path.write_text(f'#!/bin/sh\necho "{name} $*" >>"{self.calls}"\n{text}\n', "ascii")
         path.chmod(0o755)
 
     def run(self, script: str, *words: str) -> subprocess.CompletedProcess[str]:
-        """A script of the package, as dpkg runs it."""
+        """Run a script of the package as dpkg does."""
         text = (SCRIPTS / script).read_text("utf-8")
         for place in ("/sys/class/net", "/run/", "/opt/cruiser"):
             text = text.replace(place, f"{self.root}{place}")
@@ -57,7 +57,7 @@ class Machine:
 
     @property
     def stopped(self) -> list[str]:
-        """The services that were told to stop, in their order."""
+        """The stopped services, in order."""
         calls = self.calls.read_text("ascii").splitlines()
         return [call.removeprefix("systemctl stop ") for call in calls if call.startswith("systemctl stop ")]
 
@@ -79,7 +79,7 @@ def machine(tmp_path: Path) -> Machine:
     ids=lambda state: str(sorted(state)),
 )
 def test_while_the_robot_moves_nothing_is_changed(machine: Machine, action: str, state: dict[str, object]) -> None:
-    """By one clear line; with a gateway that lives or is dead, by the old script and by the new."""
+    """One clear line, whether the gateway lives or not, by the old script and the new."""
     machine.set(**state)  # type: ignore[arg-type] # each by its name
     done = machine.run("prerm", action, "1.0")
     assert done.returncode == 1
@@ -89,7 +89,7 @@ def test_while_the_robot_moves_nothing_is_changed(machine: Machine, action: str,
 
 
 def test_what_was_refused_is_not_done_a_moment_later(machine: Machine) -> None:
-    """Dpkg asks the new package's script too, when the robot may stand. The next upgrade is one like any other."""
+    """Dpkg asks the new package's script too, when the robot may stand. The next upgrade works."""
     machine.set(look=MOVES)
     assert machine.run("prerm", "upgrade", "1.0").returncode == 1
     machine.set()
@@ -103,7 +103,7 @@ def test_what_was_refused_is_not_done_a_moment_later(machine: Machine) -> None:
     "state", [{}, {"status": ""}, {"look": FAILS}, {"status": "listening only, bus up"}], ids=str
 )
 def test_while_it_stands_the_services_are_stopped(machine: Machine, state: dict[str, object]) -> None:
-    """Those that run, the gateway first; also where the look itself fails: a broken package can be replaced."""
+    """Running ones, the gateway first; also where the look fails: a broken package can be replaced."""
     machine.set(**state)  # type: ignore[arg-type] # each by its name
     assert machine.run("prerm", "upgrade", "1.0").returncode == 0
     running = [f"cruiser-{name}.service" for name in ("gateway", "recorder", "desk", "metrics", "upload")]
@@ -113,7 +113,7 @@ def test_while_it_stands_the_services_are_stopped(machine: Machine, state: dict[
 
 
 def test_what_ran_is_started_again(machine: Machine) -> None:
-    """By the script of the package that came, or of the one that stayed; once."""
+    """Once, by the script of the package that came or stayed."""
     for name in ("systemd-sysusers", "systemd-tmpfiles", "udevadm"):
         machine.program(name, "exit 0")
     machine.run("prerm", "upgrade", "1.0")
@@ -128,7 +128,7 @@ def test_what_ran_is_started_again(machine: Machine) -> None:
 
 @pytest.mark.parametrize("script", sorted(SCRIPTS.iterdir()), ids=lambda path: path.name)
 def test_a_shell_reads_each_script(script: Path) -> None:
-    """Debian's own, which is no bash."""
+    """Debian's own, not bash."""
     assert subprocess.run(["/bin/sh", "-n", script], check=False).returncode == 0
 
 
@@ -151,7 +151,7 @@ for words in [[command] for command in COMMANDS] + [["review", question] for que
 
 
 def test_every_command_explains_itself_with_what_the_package_brings() -> None:
-    """Also where it needs a library that is not there."""
+    """Also if it needs a library that is missing."""
     words = [sys.executable, "-P", "-c", HELP, " ".join(absent_on_robots())]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

@@ -32,13 +32,13 @@ def run(name: str, fake: FakeRobot) -> subprocess.CompletedProcess[str]:
 
 
 def test_every_python_example_is_run_here() -> None:
-    """And what is run here is there."""
+    """And each one that is run exists."""
     assert {path.name for path in EXAMPLES.iterdir() if path.suffix in {".py", ".ipynb"}} == TESTED
 
 
 @pytest.mark.parametrize("name", ["commands_client.py", "drive.py"])
 def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
-    """It drives at half a metre a second, and the lease is free afterwards."""
+    """At half a metre a second; the lease is free afterwards."""
     with FakeRobot() as fake:
         done = run(name, fake)
         assert (done.returncode, done.stderr) == (0, "")
@@ -48,7 +48,7 @@ def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["commands_client.py", "drive.py"])
 def test_a_client_that_is_refused_says_what_would_cure_it(name: str) -> None:
-    """The reply of the robot, in its words, and no traceback."""
+    """In the robot's words, without a traceback."""
     with FakeRobot(front_bumper=True) as fake:
         done = run(name, fake)
     assert done.returncode == 1
@@ -56,7 +56,7 @@ def test_a_client_that_is_refused_says_what_would_cure_it(name: str) -> None:
 
 
 def test_a_subscriber_prints_what_a_robot_reports() -> None:
-    """One line for each look at it, until Ctrl-C."""
+    """A line each time, until Ctrl-C."""
     with FakeRobot() as fake:
         words = [sys.executable, str(EXAMPLES / "subscribe.py"), fake.listen]
         process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -69,7 +69,7 @@ def test_a_subscriber_prints_what_a_robot_reports() -> None:
 
 
 def test_the_notebook_says_how_far_the_robot_went(tmp_path: Path) -> None:
-    """Every cell runs, in order, over a dataset that the command has made; the notebook is kept without output."""
+    """Every cell runs on an exported dataset; the notebook is stored without output."""
     rig, operator = RecordedRig.driving(1.0)
     operator.drive(1.0, 0.0, 3.0)
     rig.rest_after(0.5)

@@ -39,7 +39,7 @@ SEEN: Final = (
 
 @pytest.fixture
 def surroundings(tmp_path: Path) -> dict[str, str]:
-    """The command on the path, a port of its own, and settings of another robot."""
+    """The command on the path, a free port, and settings of another robot."""
     cruiser = tmp_path / "bin" / "cruiser"
     cruiser.parent.mkdir()
     cruiser.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m gateway "$@"\n', encoding="utf-8")
@@ -69,7 +69,7 @@ def play(place: Path, surroundings: Mapping[str, str]) -> subprocess.CompletedPr
 
 @pytest.mark.night
 def test_a_fleet_is_driven_and_its_operator_locked_out(tmp_path: Path, surroundings: Mapping[str, str]) -> None:
-    """Strangers are not answered; settings of another robot change nothing; the log says who commanded."""
+    """Strangers get no answer; other settings change nothing; the log says who commanded."""
     for attempt in range(ATTEMPTS):
         done = play(tmp_path / f"fleet-{attempt}", surroundings)
         # On a busy machine a guard stops its robot, as it should.
@@ -91,7 +91,6 @@ def test_a_fleet_is_driven_and_its_operator_locked_out(tmp_path: Path, surroundi
 
 @pytest.mark.night
 def test_a_fleet_that_is_held_serves_clients_until_ctrl_c(tmp_path: Path, surroundings: Mapping[str, str]) -> None:
-    """Nothing of it is left running."""
     place, said = tmp_path / "fleet", tmp_path / "said"
     with said.open("w") as output:
         process = subprocess.Popen(
@@ -115,7 +114,6 @@ def test_a_fleet_that_is_held_serves_clients_until_ctrl_c(tmp_path: Path, surrou
 
 
 def test_a_directory_that_holds_something_is_left_alone(tmp_path: Path, surroundings: Mapping[str, str]) -> None:
-    """Nothing starts."""
     (tmp_path / "fleet").mkdir()
     done = play(tmp_path / "fleet", surroundings)
     assert done.returncode == 1

@@ -24,7 +24,7 @@ GROWS_BYTES = 30_000_000
 
 
 def peak_bytes(pid: int) -> int:
-    """The most memory that a process ever had, Linux's VmHWM."""
+    """Peak memory of a process, Linux's VmHWM."""
     found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
     assert found is not None
     return int(found[1]) * 1024
@@ -32,7 +32,7 @@ def peak_bytes(pid: int) -> int:
 
 @pytest.mark.parametrize("verb", [by_night("drive"), by_night("engage"), "stop"])
 def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
-    """Puts and queries of 60 MB are dropped while they arrive, and a stop after them is answered."""
+    """Puts and queries of 60 MB are dropped on arrival; a stop after them is answered."""
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint) as running:
         session = open_session(ZenohSettings(mode="client"), [endpoint], [])
@@ -55,7 +55,7 @@ def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
 
 
 def test_connections_that_say_nothing_keep_no_stop_out() -> None:
-    """They are more than Zenoh's own start value, 100, which keeps everybody else waiting for 10 s."""
+    """More than Zenoh's default of 100, which would delay everybody else for 10 s."""
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint), ExitStack() as stack:
         wait_for_chassis(endpoint)
@@ -67,7 +67,7 @@ def test_connections_that_say_nothing_keep_no_stop_out() -> None:
 
 
 def test_no_memory_is_shared_with_who_connects() -> None:
-    """Whoever shares memory with a process ends it by cutting the memory off."""
+    """A peer that shares memory could crash the gateway by truncating it."""
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint) as running:
         wait_for_chassis(endpoint)

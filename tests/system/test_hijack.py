@@ -1,7 +1,7 @@
-"""A neighbour on the same Zenoh network, who wants to drive a robot, or to have its driver lose it.
+"""A neighbour on the same Zenoh network who wants to drive a robot, or to have its driver lose it.
 
-He reads all that the robot publishes and records, and gives himself the holder's name. What he cannot have is the
-number of the holder's lease; some tests give it to him, as if he had read the holder's own requests.
+He reads all that the robot publishes and records, and uses the holder's name. He cannot know the number of the
+holder's lease; some tests give it to him, as if he had read the holder's own requests.
 """
 
 import signal
@@ -61,7 +61,7 @@ class Neighbour:
         return [DECISION.decode(payload) for payload in self.of("safety/decision")]
 
     def numbers(self) -> set[int]:
-        """What may be the number of the lease: of decisions, of recorded requests, and computed from the run."""
+        """Candidates for the lease's number: from decisions and recorded requests, and computed from the run."""
         found = {one.lease for one in self.decisions() if one.lease is not None}
         for payload in self.of("journal"):
             journal = JOURNAL.decode(payload)
@@ -74,23 +74,22 @@ class Neighbour:
         return found
 
     def state(self) -> dict[str, Any]:
-        """The newest safety/state of the robot's own."""
+        """The robot's own newest safety/state."""
         own = [one for one in self.of("safety/state")[-50:] if one not in self.forged]
         return msgspec.msgpack.decode(own[-1])  # type: ignore[no-any-return]
 
     def has_heard(self, states: int) -> bool:
-        """So many samples of safety/state have come."""
         return len(self.of("safety/state")) >= states
 
     def forge(self, **fields: object) -> None:
-        """The newest safety/state once more, with something else in it."""
+        """Publish the newest safety/state again with other fields."""
         subject = BY_NAME["safety/state"]
         payload = msgspec.msgpack.encode(self.state() | fields)
         self.forged.add(payload)
         self.session.put(keys.build(ROOT, ROBOT, subject), payload, encoding=subject.encoding)
 
     def drive(self, lease: int, seq: int) -> None:
-        """A command under the holder's name, with the newest challenge."""
+        """Send a command under the holder's name with the newest challenge."""
         state = self.state()
         payload = msgspec.msgpack.encode(
             {
@@ -105,7 +104,7 @@ class Neighbour:
 
 
 def integers(value: Any) -> Iterator[int]:  # noqa: ANN401 - whatever MessagePack holds
-    """All whole numbers in it."""
+    """All integers in it."""
     match value:
         case int():
             yield value
@@ -118,7 +117,7 @@ def integers(value: Any) -> Iterator[int]:  # noqa: ANN401 - whatever MessagePac
 
 
 def forms(number: int) -> list[bytes]:
-    """A number as MessagePack, as protobuf and as people write it."""
+    """A number as in MessagePack, protobuf and text."""
     varint, rest = bytearray(), number
     while rest:
         varint.append(rest & 0x7F | (0x80 if rest > 0x7F else 0))
@@ -128,14 +127,13 @@ def forms(number: int) -> list[bytes]:
 
 
 def recorded(directory: Path) -> list[bytes]:
-    """The messages of the log."""
     (log,) = (path for path in directory.glob("*.mcap") if ".incident." not in path.name)
     with log.open("rb") as stream:
         return [message.data for _, _, message in make_reader(stream).iter_messages()]
 
 
 def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(tmp_path: Path) -> None:
-    """No number that can be read or computed is taken, and the true one stands nowhere."""
+    """No number that can be read or computed works, and the true one is nowhere."""
     endpoint = free_endpoint()
     with (
         Running("record", "-o", str(tmp_path), "--connect", endpoint) as recording,
@@ -179,7 +177,7 @@ def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(
 
 @contextmanager
 def driving() -> Iterator[tuple[Neighbour, Robot, Lease]]:
-    """A robot that its holder drives, and a neighbour."""
+    """A robot driven by its holder, and a neighbour."""
     endpoint = free_endpoint()
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with chassis() as (_, address), gateway(address, endpoint):
@@ -192,7 +190,7 @@ def driving() -> Iterator[tuple[Neighbour, Robot, Lease]]:
 
 
 def test_a_holder_whose_lease_somebody_else_uses_loses_it_and_the_robot_stops() -> None:
-    """Although the neighbour has the number, and goes on: the holder's program ends, and gives the lease back."""
+    """Even if the neighbour goes on: the holder's program ends and releases the lease."""
     with driving() as (neighbour, robot, lease):
         number = lease.number
 
@@ -222,7 +220,7 @@ def test_a_holder_whose_lease_somebody_else_uses_loses_it_and_the_robot_stops() 
     ],
 )
 def test_a_forged_state_a_second_takes_the_robot_from_nobody(forged: dict[str, object]) -> None:
-    """The robot's own states say otherwise."""
+    """The robot's own states refute it."""
     with driving() as (neighbour, robot, lease):
 
         def drive() -> None:

@@ -1,4 +1,4 @@
-"""Somebody on the same Zenoh network who answers in a robot's place."""
+"""Somebody on the same Zenoh network answers in a robot's place."""
 
 import signal
 import threading
@@ -55,7 +55,7 @@ def impostor(listen: str, connect: list[str], *, ok: bool) -> Iterator[None]:
 
 
 def test_a_stop_that_only_an_impostor_answers_is_not_believed() -> None:
-    """The gateway is killed, the robot has heard nothing: that it stops is never said."""
+    """With the gateway dead, the robot is not reported as stopped."""
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint) as running:
         running.stop(signal.SIGKILL)
@@ -68,7 +68,7 @@ def test_a_stop_that_only_an_impostor_answers_is_not_believed() -> None:
 
 
 def test_replies_that_contradict_each_other_are_said_to() -> None:
-    """The robot stops; but somebody answers in its place, and who reads both shall know."""
+    """The robot stops, and the user learns that somebody answers in its place."""
     endpoint = free_endpoint()
     with (
         chassis() as (_, address),
@@ -97,7 +97,7 @@ INFO: Final = "fleet/cruiser-1/gateway/info"
 
 @contextmanager
 def stranger() -> Iterator[tuple[zenoh.Session, str]]:
-    """A node that is there first, and where it listens."""
+    """A node that is there first. Yields its session and endpoint."""
     endpoint = free_endpoint()
     session = open_session(ZenohSettings(), [], [endpoint])
     yield session, endpoint
@@ -122,7 +122,7 @@ def squatting(session: zenoh.Session) -> Iterator[None]:
 def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_from_starting(
     tmp_path: Path,
 ) -> None:
-    """Another robot's certificate lets it: the gateway starts, and goes on when it takes over renewed files."""
+    """Another robot's certificate admits it; the gateway starts, also with renewed files."""
     site = Site(tmp_path)
     with (
         stranger() as (session, endpoint),

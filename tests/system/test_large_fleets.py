@@ -1,4 +1,4 @@
-"""Commands to a whole fleet, as processes of their own, where the fleet is large."""
+"""Commands to a large fleet, as processes."""
 
 import json
 import os
@@ -18,7 +18,6 @@ ENDS_S = 100
 
 
 def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
     return subprocess.run(
         [sys.executable, "-m", "gateway", *words],
         capture_output=True,
@@ -30,7 +29,7 @@ def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_stop_of_a_large_fleet_ends_and_hears_every_robot() -> None:
-    """Each robot answers, and nobody is said to be silent. That they stand is not seen: these publish nothing."""
+    """Each answers. That they stand is not seen: these publish nothing."""
     with FakeFleet(400) as fleet:
         ended = cruiser("stop", "--all", "--json", "--timeout", "15", "--connect", fleet.listen)
         report = json.loads(ended.stdout)
@@ -39,7 +38,7 @@ def test_a_stop_of_a_large_fleet_ends_and_hears_every_robot() -> None:
 
 
 def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
-    """All robots publish that they stand, as often as robots do, and both processors have other work."""
+    """All publish that they stand, at a robot's rate, while both processors are busy."""
     with FakeFleet(400, publishes=True) as fleet, burning():
         ended = cruiser("stop", "--all", "--json", "--timeout", "60", "--connect", fleet.listen)
         report = json.loads(ended.stdout)
@@ -48,7 +47,7 @@ def test_a_stop_of_a_large_fleet_is_seen_while_the_machine_is_busy() -> None:
 
 
 def test_a_large_fleet_is_listed_whole() -> None:
-    """Every robot that is connected has its line, after one on all of them."""
+    """A line per robot, after one on all of them."""
     with FakeFleet(1000) as fleet:
         ended = cruiser("list", "--timeout", "8", "--connect", fleet.listen)
     told, *lines = ended.stdout.splitlines()

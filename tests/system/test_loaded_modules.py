@@ -1,4 +1,4 @@
-"""What a robot's processes have loaded in open mode when their loops begin, and that no loop loads more."""
+"""Modules of a robot's processes in open mode when their loops begin; no loop imports more."""
 
 import json
 import os
@@ -53,7 +53,7 @@ OTHERS: Final = {"asyncio", "can", "email", "http", "multiprocessing", "rich", "
 
 
 class Probe:
-    """A command in a process of its own, which says in a file what it loaded."""
+    """A command as a process, which writes the modules that it loaded to a file."""
 
     def __init__(self, file: Path, loop: tuple[str, str], words: list[str]) -> None:
         self._file = file
@@ -73,12 +73,12 @@ class Probe:
 
 
 def among(names: list[str], unwanted: set[str]) -> set[str]:
-    """Those that are one of these, or below one."""
+    """The names that are one of these, or below one."""
     return {one for one in names for name in unwanted if one == name or one.startswith(f"{name}.")}
 
 
 def test_in_open_mode_only_what_it_takes_is_loaded_and_nothing_while_a_robot_is_driven(tmp_path: Path) -> None:
-    """An import in the loop would hold it up, and so the robot's commands: what is needed is loaded before."""
+    """An import in the loop would delay the robot's commands."""
     endpoint = free_endpoint()
     with chassis() as (_, address):
         bus = ["--interface", "socketcand", "--channel", address]

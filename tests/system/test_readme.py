@@ -1,7 +1,6 @@
-"""Every command of the pages that a newcomer follows, read from them, in their order, as one who has just come.
+"""Every command of the pages for newcomers, in order, in an empty home, by a user who is not root.
 
-The home is empty, and the user is not root. Chassis, gateway, recorder and demo are real processes. Only the ports
-differ from the page, so that nothing else on the machine is disturbed.
+Chassis, gateway, recorder and demo are real processes. Only the ports differ from the pages.
 """
 
 from __future__ import annotations
@@ -42,11 +41,11 @@ class Run(msgspec.Struct, frozen=True):
     """A command that ends by itself.
 
     Attributes:
-        says: what its output has in it, as a regular expression.
-        first: what is run before, again and again until it succeeds.
-        drives: on a busy machine the guard may stop the robot; it is then reset, and driven once more.
-        ended: what is running, and ended before, as by Ctrl-C.
-        beside: what it leaves; only what names that waits for its end.
+        says: a regular expression for its output.
+        first: commands to run before, until they succeed.
+        drives: on a busy machine the guard may stop the robot, which is then reset and driven again.
+        ended: running commands to end before, with Ctrl-C.
+        beside: its output; only a command that names this waits for its end.
     """
 
     says: str
@@ -58,11 +57,7 @@ class Run(msgspec.Struct, frozen=True):
 
 
 class Start(msgspec.Struct, frozen=True):
-    """A command that goes on, in a terminal of its own, until Ctrl-C; it then ends with 0.
-
-    Attributes:
-        stays: it is ended at the end of the page, not at once.
-    """
+    """A command that runs until Ctrl-C, and ends with this code; ``stays``: to the end of the page."""
 
     says: str
     code: int = 0
@@ -150,12 +145,12 @@ def commands(pages: tuple[str, ...] = PAGES) -> list[tuple[str, str]]:
 
 
 def test_every_command_is_run_or_has_a_reason() -> None:
-    """And nothing is listed that no page has."""
+    """And no other is listed."""
     assert [name for name, _ in commands()] == list(COMMANDS)
 
 
 def test_the_chinese_page_has_no_command_of_its_own() -> None:
-    """What it shows is run here, from the English pages."""
+    """Its commands are those of the English pages."""
     shown = {name for name, _ in commands(("docs/zh/README.md",))}
     assert shown
     assert shown <= set(COMMANDS)
@@ -170,8 +165,6 @@ SETTINGS = load_settings(None, os.environ, {})
 
 
 class Terminal:
-    """A command in a terminal of its own."""
-
     def __init__(self, words: list[str], home: Path, environment: dict[str, str]) -> None:
         self._master, slave = pty.openpty()
         self.process = subprocess.Popen(
@@ -183,7 +176,6 @@ class Terminal:
         self._thread.start()
 
     def wait(self) -> int:
-        """Wait for its end. Returns its exit code."""
         try:
             return self.process.wait(TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -203,7 +195,7 @@ class Terminal:
 
 
 class Newcomer:
-    """Somebody with an empty home and several terminals."""
+    """A user with an empty home and several terminals."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
@@ -265,7 +257,6 @@ class Newcomer:
             self.end(name)
 
     def kill_all(self) -> None:
-        """Leave nothing behind where the test has failed."""
         for _, terminal in (*self._running.values(), *self._beside.values()):
             with suppress(ProcessLookupError):
                 os.killpg(terminal.process.pid, signal.SIGTERM)
@@ -279,7 +270,7 @@ class Newcomer:
         wait_until(lambda: self._start(name).wait() == 0)
 
     def _await(self, text: str) -> None:
-        """Wait for those whose outcome is named here; for an empty text, for all."""
+        """Wait for the commands whose output is named here; for an empty text, for all."""
         for name, (what, terminal) in list(self._beside.items()):
             if not text or what.beside in text:
                 self._finish(name, name, what, terminal)
@@ -346,7 +337,7 @@ def newcomer() -> Iterator[Newcomer]:
 def test_the_commands_of_the_page_do_what_it_says(
     newcomer: Newcomer, pages: tuple[str, ...], leaves: set[str]
 ) -> None:
-    """Each that can be run here, one after the other."""
+    """One after the other."""
     for name, text in commands(pages):
         match COMMANDS[name]:
             case Run() as what:

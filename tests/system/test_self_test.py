@@ -1,4 +1,4 @@
-"""A robot's own files, its router as ``doctor`` tries to get past it, and its renewal: real processes."""
+"""A robot's own files, ``doctor`` against its router, and its renewal: real processes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Damage = Callable[[Any], None]
 
 
 class Fleet(ProvisionedFleet):
-    """A router, a robot and an operator, on loopback."""
+    """A router, a robot and an operator on loopback."""
 
     def __init__(self, place: Path) -> None:
         super().__init__(place, free_endpoint().replace("tcp/", "tls/"))
@@ -64,7 +64,6 @@ class Fleet(ProvisionedFleet):
 
     @contextmanager
     def gateway(self, *words: str) -> Iterator[Running]:
-        """The robot's gateway, on a virtual chassis."""
         with chassis() as (_, address):
             bus = ["--interface", "socketcand", "--channel", address]
             with Managed("gateway", "--config", str(self.robot_files / "robot.toml"), *bus, *words) as running:
@@ -83,7 +82,7 @@ class Fleet(ProvisionedFleet):
         return run(["why", ROBOT, "--config", str(self.operator_file)]).stdout
 
     def engages(self) -> None:
-        """The operator engages the robot, and lets it go."""
+        """The operator engages the robot, and releases it."""
         with self.connect() as robot:
             waits(robot)
             with robot.lease() as lease:
@@ -99,13 +98,12 @@ class Fleet(ProvisionedFleet):
 
 @pytest.fixture
 def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fleet:
-    """A fleet of this test."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return Fleet(tmp_path)
 
 
 def waits(robot: Robot) -> None:
-    """Wait until the robot waits for a driver alone: its guard watches."""
+    """Wait until the robot only lacks a driver: its guard watches."""
     wait_until(lambda: is_idle(robot.state().state.blocked_by))
 
 
@@ -121,7 +119,7 @@ def switched_off(said: Any) -> None:  # noqa: ANN401 - JSON
 
 @pytest.mark.parametrize("damage", [None, switched_off])
 def test_doctor_tries_to_get_past_the_router(fleet: Fleet, damage: Damage | None) -> None:
-    """Beside a gateway that runs: shut out by a sound router; an open one is silent, and doctor names its file."""
+    """Beside a running gateway: a sound router shuts it out; of an open one doctor names the file."""
     if damage is not None:
         change(fleet.router_file, damage)
     words = ["doctor", "--config", str(fleet.robot_files / "robot.toml"), "--intrude", "--json"]
@@ -135,7 +133,7 @@ def test_doctor_tries_to_get_past_the_router(fleet: Fleet, damage: Damage | None
 
 
 def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet) -> None:
-    """What the file says is found before anything is tried; all that may be wrong: tests/unit/gateway/host."""
+    """The file alone is read; all its faults: tests/unit/gateway/host."""
     file, words = fleet.robot_files / "robot.json5", "access_control.enabled is not true"
     change(file, switched_off)
     cure = "'cruiser provision install --replace' writes it"
@@ -146,7 +144,7 @@ def test_a_robot_whose_own_file_lets_anybody_in_is_not_engaged(fleet: Fleet) -> 
 
 
 def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) -> None:
-    """It says once for what it waits."""
+    """It logs once what it waits for."""
     with fleet.gateway() as process:
         away = r"nobody at tls/127\.0\.0\.1:\d+ lets this machine in: .*; the robot is off the network"
         process.wait_says(away)
@@ -160,7 +158,7 @@ def test_a_gateway_whose_router_is_away_starts_and_joins_it_later(fleet: Fleet) 
 
 
 def test_a_robot_whose_router_is_away_is_stopped_all_the_same(fleet: Fleet) -> None:
-    """Somebody left it rolling: what is done for its safety on the robot itself needs no network."""
+    """It was left rolling: safety on the robot needs no network."""
     words = ["--config", str(fleet.robot_files / "robot.toml"), "--interface", "socketcand", "--channel"]
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
@@ -171,7 +169,7 @@ def test_a_robot_whose_router_is_away_is_stopped_all_the_same(fleet: Fleet) -> N
 
 
 def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_its_lease(fleet: Fleet) -> None:
-    """Not before: a gateway that starts again would let the robot go."""
+    """Not before: a restart would release the robot."""
     certificate = fleet.robot_files / "robot-tls.pem"
     with fleet.running() as process:
         with fleet.connect() as robot:
@@ -200,7 +198,7 @@ def test_renewed_files_are_taken_over_while_the_robot_stands_and_nobody_holds_it
 
 @pytest.mark.night
 def test_a_latched_stop_outlives_a_renewal(fleet: Fleet) -> None:
-    """It keeps no file from being renewed, and stays latched, with its reason, until somebody resets it."""
+    """It delays no renewal, and stays latched, with its reason, until a reset."""
     with fleet.running() as process:
         with fleet.connect() as robot:
             waits(robot)

@@ -1,4 +1,4 @@
-"""A robot in signed mode, as its people and its enemies meet it: real processes, real Zenoh, real keys."""
+"""A robot in signed mode, with its operators and attackers: real processes, Zenoh and keys."""
 
 import os
 import threading
@@ -39,7 +39,6 @@ from tests.support.waiting import DEADLINE_S, wait_until
 
 @contextmanager
 def running(site: Site) -> Iterator[Running]:
-    """The robot's gateway, on a virtual chassis."""
     words = ("--config", site.robot_settings)
     with chassis() as (_, address), gateway(address, site.endpoint, *words, kind=Managed) as process:
         yield process
@@ -47,7 +46,7 @@ def running(site: Site) -> Iterator[Running]:
 
 @contextmanager
 def stranger(site: Site) -> Iterator[zenoh.Session]:
-    """A session of somebody who is on the network and has no key."""
+    """A session of somebody on the network without a key."""
     session = open_session(ZenohSettings(), [site.endpoint], [])
     try:
         yield session
@@ -79,7 +78,7 @@ def test_an_operator_drives_within_the_grant_until_it_is_revoked(site: Site) -> 
 
 
 class Flood:
-    """Queries of somebody else, as many as one Python thread sends."""
+    """Queries of a stranger, as many as one Python thread sends."""
 
     def __init__(self, site: Site, send: Callable[[zenoh.Session], None]) -> None:
         self.sent = 0
@@ -104,7 +103,7 @@ class Flood:
 
 
 def showing(forge: Callable[[], bytes]) -> Callable[[zenoh.Session], None]:
-    """Somebody shows the robot a forged statement."""
+    """A stranger shows the robot a forged statement."""
 
     def send(session: zenoh.Session) -> None:
         session.get(
@@ -121,7 +120,7 @@ def showing(forge: Callable[[], bytes]) -> Callable[[zenoh.Session], None]:
 
 @pytest.mark.parametrize("flood", [by_night("junk"), "lists in the authority's name"])
 def test_no_flood_of_statements_keeps_a_revocation_out(site: Site, flood: str) -> None:
-    """Shown as ``cruiser provision show`` does it, again until the robot answers, it is taken over."""
+    """Shown as ``cruiser provision show`` does it, until the robot answers."""
     revoked = site.fleet.authority.revoke(1, keys=(site.operator.key,))
 
     def forge() -> bytes:
@@ -144,7 +143,7 @@ def test_no_flood_of_statements_keeps_a_revocation_out(site: Site, flood: str) -
 
 @pytest.mark.parametrize("flood", [by_night("junk"), "the operator's grant, forged"])
 def test_no_flood_of_statements_keeps_operators_out(site: Site, flood: str) -> None:
-    """A robot answers who shows a grant of its authority, and who asks who it is, in their turn."""
+    """A robot answers those with a grant of its authority in their turn."""
     forged = msgspec.structs.replace(site.operator.chain[0], signature=bytes(64)).text().encode()
     with (
         running(site),
@@ -155,7 +154,7 @@ def test_no_flood_of_statements_keeps_operators_out(site: Site, flood: str) -> N
 
 
 def test_no_flood_of_wrongly_signed_verbs_keeps_the_holder_from_its_robot(site: Site) -> None:
-    """They name the holder's grant, its lease and the newest challenge. A lease is had meanwhile too."""
+    """They name the holder's grant and lease and the newest challenge. The lease can still be acquired."""
     grant, held = site.operator.chain[0].id, [0]
     with running(site) as process, Robot.connect(ROBOT, settings=site.settings) as robot:
 
@@ -192,7 +191,7 @@ def test_no_flood_of_wrongly_signed_verbs_keeps_the_holder_from_its_robot(site: 
 
 
 def test_nothing_that_a_stranger_sends_moves_the_robot_but_a_stop(site: Site) -> None:
-    """Verbs and drives without proof, and those of the holder again; the stop of anybody is served."""
+    """Verbs and drives without proof, and replays of the holder's; anybody's stop works."""
     with running(site) as process, stranger(site) as session, driving(site) as (robot, lease):
         kept = session.declare_subscriber(f"{ROOT}/{ROBOT}/@cmd/*/drive", zenoh.handlers.RingChannel(64))
         wait_until(lambda: bool(refusals(session, "release", lease)))
@@ -221,7 +220,7 @@ def test_nothing_that_a_stranger_sends_moves_the_robot_but_a_stop(site: Site) ->
 
 
 def test_states_that_somebody_repeats_are_not_believed(site: Site) -> None:
-    """Neither those of before, nor those of a former run; a robot that was restarted is believed."""
+    """Of this run or of a former one; a restarted robot is believed."""
     between = free_endpoint()
     settings = msgspec.structs.replace(
         site.settings, zenoh=ZenohSettings(connect=[*site.settings.zenoh.connect, between])
@@ -267,7 +266,7 @@ def test_states_that_somebody_repeats_are_not_believed(site: Site) -> None:
 
 
 def is_heard_since(robot: Robot, time_ns: int) -> bool:
-    """Is a state believed that was published after this time?"""
+    """A believed state was published after this time."""
     try:
         return robot.state().state.time_ns > time_ns
     except Unreachable:
@@ -275,7 +274,7 @@ def is_heard_since(robot: Robot, time_ns: int) -> bool:
 
 
 def refusals(session: zenoh.Session, verb: str, lease: Lease) -> set[Reason]:
-    """The reasons for which the robot refuses a verb that nobody signed, in the holder's name."""
+    """The robot's reasons to refuse an unsigned verb in the holder's name."""
     payload = msgspec.msgpack.encode({"lease": lease.number})
     replies = session.get(keys.command(ROOT, ROBOT, OPERATOR, verb), payload=payload, timeout=1.0)
     return {
@@ -286,7 +285,7 @@ def refusals(session: zenoh.Session, verb: str, lease: Lease) -> set[Reason]:
 
 
 def test_an_impostor_is_not_believed(site: Site) -> None:
-    """Neither a gateway of another fleet under the robot's name, nor an operator of one."""
+    """A gateway of another fleet under the robot's name, or an operator of one."""
     (site.directory / "other").mkdir()
     other = Site(site.directory / "other")
     other.endpoint = site.endpoint
@@ -303,7 +302,7 @@ def test_an_impostor_is_not_believed(site: Site) -> None:
 
 
 def test_a_stop_of_somebody_with_a_grant_is_signed(site: Site) -> None:
-    """Besides those without a proof, which wait for nothing: the journal says who it was, and what proves it."""
+    """Besides unsigned ones, which wait for nothing: the journal has the operator and the proof."""
     with standing(site) as session:
         report = remote_stop.stop_from_here(site.settings, ROBOT, "", 30)
         assert (report.stopped, report.refused, report.unconfirmed) == ([ROBOT], {}, {})
@@ -315,7 +314,7 @@ def test_a_stop_of_somebody_with_a_grant_is_signed(site: Site) -> None:
 
 @contextmanager
 def standing(site: Site) -> Iterator[zenoh.Session]:
-    """The robot, whose wheels are seen to stand, and a session of somebody without a key."""
+    """The robot at standstill, and a session of a stranger."""
     with running(site), stranger(site) as session:
         states = session.declare_subscriber(f"{ROOT}/{ROBOT}/state", zenoh.handlers.RingChannel(1))
 
@@ -329,7 +328,7 @@ def standing(site: Site) -> Iterator[zenoh.Session]:
 
 
 def stops_in_the_journal(session: zenoh.Session) -> dict[str, list[Reason]]:
-    """What became of the proofs of the stops that the robot received, in their order, by operator."""
+    """The rulings on the proofs of all stops received, in order, by operator."""
     found: dict[str, list[Reason]] = {}
     first = 0
     while pieces := journal_from(session, first):
@@ -342,7 +341,7 @@ def stops_in_the_journal(session: zenoh.Session) -> dict[str, list[Reason]]:
 
 
 def journal_from(session: zenoh.Session, first: int) -> list[Journal]:
-    """A piece of the journal, from this sequence on; empty where it ends."""
+    """A piece of the journal from this sequence on; empty at its end."""
     key = f"{ROOT}/{ROBOT}/journal?first={first}"
     replies = session.get(key, consolidation=zenoh.ConsolidationMode.NONE, timeout=5.0)
     payloads = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
@@ -365,7 +364,7 @@ def _in_other_hands(files: Path) -> None:
     ],
 )
 def test_a_stop_fails_for_no_file(site: Site, damage: Callable[[Path], None]) -> None:
-    """It goes out, stops the robot, and is seen to."""
+    """It is sent, stops the robot, and is confirmed."""
     damage(Path(site.settings.authority.directory))
     with standing(site) as session:
         assert remote_stop.stop_from_here(site.settings, ROBOT, "desk", 30).stopped == [ROBOT]
@@ -375,7 +374,7 @@ def test_a_stop_fails_for_no_file(site: Site, damage: Callable[[Path], None]) ->
 
 
 def test_a_stop_whose_answer_cannot_be_verified_is_said_to_be_that(site: Site) -> None:
-    """The operator's own files are the trouble: the robot stops, says so, and is not known to be the robot."""
+    """The operator's own files are wrong: the robot stops, and cannot be verified."""
     write_authority(Path(site.settings.authority.directory), Fleet())
     with standing(site) as session:
         assert "the robot's own grant is signed by the authority's key" in doubt_of_a_stop(site, "desk").text
@@ -385,7 +384,7 @@ def test_a_stop_whose_answer_cannot_be_verified_is_said_to_be_that(site: Site) -
 @pytest.mark.night
 @pytest.mark.parametrize("name", ["robot.key", "robot.grant"])
 def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name: str) -> None:
-    """It stops, and cannot sign that it does. ``cruiser why`` shows the file and the cure, not verified."""
+    """It stops, and cannot sign that. ``cruiser why`` shows file and cure as unverified."""
     (Path(site.robot_settings).parent / name).unlink()
     configuration = str(Path(site.settings.authority.directory) / "cruiser.toml")
     with standing(site):
@@ -402,7 +401,7 @@ def test_a_stop_of_a_robot_without_its_own_files_is_no_silence(site: Site, name:
 
 
 def doubt_of_a_stop(site: Site, operator: str) -> Unmet:
-    """Why the answer of a robot that is stopped cannot be verified."""
+    """Why the answer of a stopped robot cannot be verified."""
     report = remote_stop.stop_from_here(site.settings, ROBOT, operator, 3)
     assert (report.stopped, report.refused, report.unconfirmed, report.silent) == ([], {}, {}, [])
     return report.unverified[ROBOT]
@@ -421,7 +420,7 @@ def test_a_stop_fails_for_no_grant_that_is_over_and_for_no_clock(site: Site, fro
 
 
 def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site) -> None:
-    """The line in its log names the file and the cure; so does the refusal to engage."""
+    """Its log and its refusal to engage name file and cure."""
     (Path(site.robot_settings).parent / "robot.key").unlink()
     with running(site) as process, stranger(site) as session:
         process.wait_says("robot.key is not there")

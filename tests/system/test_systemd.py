@@ -1,4 +1,4 @@
-"""systemd reads the units without a word, and calls none of them exposed; users and directories come to be."""
+"""systemd accepts the units without a warning, and rates none as exposed; users and directories are created."""
 
 import shutil
 import subprocess
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tree with systemd's own units, ours, and something at each path that they start."""
+    """A tree with systemd's units, ours, and each program that they start."""
     root = tmp_path_factory.mktemp("root")
     shutil.copytree("/usr/lib/systemd/system", root / "usr/lib/systemd/system", symlinks=True)
     for unit in DEPLOY.glob("*.service"):
@@ -40,13 +40,13 @@ def analyze(root: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_systemd_understands_every_line(root: Path) -> None:
-    """It ends with 0 also for a key that it does not know: it must say nothing at all."""
+    """It ends with 0 even for an unknown key, so it must print nothing."""
     done = analyze(root, "verify", "--man=no")
     assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_no_unit_is_exposed(root: Path) -> None:
-    """Each below 2.0, by systemd's own measure."""
+    """Each below 2.0 in systemd's rating."""
     done = analyze(root, "security", "--offline=true", f"--threshold={EXPOSURE_MAX}", "--no-pager")
     assert done.returncode == 0, done.stdout
     assert done.stdout.count("Overall exposure level") == len(UNITS)
@@ -54,7 +54,7 @@ def test_no_unit_is_exposed(root: Path) -> None:
 
 @pytest.mark.parametrize("unit", sorted(DEPLOY.glob("*.service")), ids=lambda path: path.name)
 def test_no_unit_wants_room_on_the_disk_to_start(unit: Path) -> None:
-    """For PrivateDevices= systemd 252 makes a directory in /tmp: on a full disk no gateway, and no early stop."""
+    """For PrivateDevices= systemd 252 makes a directory in /tmp: on a full disk neither gateway nor early stop."""
     lines = unit.read_text(encoding="utf-8").splitlines()
     assert "DevicePolicy=closed" in lines
     assert not [line for line in lines if line.startswith("PrivateDevices")]
@@ -62,7 +62,7 @@ def test_no_unit_wants_room_on_the_disk_to_start(unit: Path) -> None:
 
 @pytest.mark.parametrize("unit", sorted(DEPLOY.glob("*.service")), ids=lambda path: path.name)
 def test_no_unit_turns_group_scheduling_on(unit: Path) -> None:
-    """And each has a user of its own, but for the early stop, whose note is the gateway's."""
+    """And each has its own user, but for the early stop, which writes the gateway's note."""
     lines = unit.read_text(encoding="utf-8").splitlines()
     assert not [line for line in lines if line.startswith(BY_GROUP)]
     name = unit.name.partition(".")[0].replace("cruiser-early-stop@", "cruiser-gateway")
@@ -70,7 +70,7 @@ def test_no_unit_turns_group_scheduling_on(unit: Path) -> None:
 
 
 def test_zenohs_own_router_runs_by_the_same_unit(root: Path) -> None:
-    """With the drop-in instead of our command, from the same file; systemd looks for the program."""
+    """With the drop-in in place of our command, from the same file."""
     unit = "etc/systemd/system/cruiser-router.service.d/zenohd.conf"
     zenohd = root / "usr/local/bin/zenohd"
     for path in (root / unit, zenohd):
@@ -89,7 +89,7 @@ def test_zenohs_own_router_runs_by_the_same_unit(root: Path) -> None:
 
 
 def test_the_gateway_comes_and_goes_with_its_interface(root: Path) -> None:
-    """Enabled, it is started by the interface that the drop-in names, and by that alone."""
+    """Only the interface of the drop-in starts it."""
     program = shutil.which("systemctl")
     assert program is not None
     subprocess.run([program, f"--root={root}", "enable", "cruiser-gateway"], check=True, capture_output=True)
@@ -98,7 +98,7 @@ def test_the_gateway_comes_and_goes_with_its_interface(root: Path) -> None:
 
 
 def test_each_service_has_a_user_and_a_directory_for_its_keys(tmp_path: Path) -> None:
-    """Nobody but its owner may look into that."""
+    """Only its owner can read that."""
     (tmp_path / "etc").mkdir()
     for name in ("passwd", "group"):
         shutil.copy(f"/etc/{name}", tmp_path / "etc")
@@ -123,6 +123,6 @@ def test_each_service_has_a_user_and_a_directory_for_its_keys(tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["gateway", "router", "recorder", "desk", "metrics"])
 def test_each_service_may_report_its_status(name: str) -> None:
-    """Only to these does systemd give its socket; where a certificate has ended, they wait and say so."""
+    """Only these get systemd's socket; with an expired certificate they wait and report it."""
     lines = (DEPLOY / f"cruiser-{name}.service").read_text(encoding="utf-8").splitlines()
     assert {"NotifyAccess=main", "Type=notify"} & set(lines)

@@ -1,4 +1,4 @@
-"""A drive whose connection is attacked, or ends: real processes, mutual TLS, and a witness on the bus."""
+"""A drive whose connection is attacked, or ends: real processes, mutual TLS, a witness on the bus."""
 
 from __future__ import annotations
 
@@ -68,11 +68,7 @@ print("done", flush=True)
 
 
 class Witness:
-    """Another client of the bus: what the chassis is told.
-
-    Attributes:
-        speeds: of each frame with a speed, in their order, signed; in ``BIT_MPS``.
-    """
+    """Another client of the bus; ``speeds`` are those of each drive frame, signed, in ``BIT_MPS``."""
 
     def __init__(self, address: str) -> None:
         self.speeds: list[int] = []
@@ -95,8 +91,6 @@ class Witness:
 
 
 class SecuredSite(Site):
-    """The fleet behind a router with certificates."""
-
     def __init__(self, directory: Path) -> None:
         super().__init__(directory)
         self.network = Network(directory, free_endpoint().replace("tcp/", "tls/"))
@@ -107,7 +101,7 @@ class SecuredSite(Site):
         self.connect_operator("ann", int(time.time()))
 
     def connect_operator(self, name: str, born_s: int) -> None:
-        """The operator has a certificate from then on."""
+        """Give the operator a certificate."""
         node = self.network.node(TransportRole.OPERATOR, name, born_s=born_s)
         self.settings = msgspec.structs.replace(
             self.settings, zenoh=ZenohSettings(config=str(node / "operator.json5"))
@@ -134,7 +128,7 @@ def site(tmp_path: Path) -> SecuredSite:
 
 
 def assert_lawful(speeds: list[int]) -> None:
-    """No speed is above the grant's, and none jumps: up by one bit at most, in each burst."""
+    """No speed exceeds the grant's, and none rises by more than one bit per burst."""
     limit = round(LIMIT_MPS / BIT_MPS)
     assert speeds
     assert 0 <= min(speeds) <= max(speeds) <= limit
@@ -144,7 +138,7 @@ def assert_lawful(speeds: list[int]) -> None:
 @pytest.mark.long
 @pytest.mark.night
 def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_stop(site: SecuredSite) -> None:
-    """The link goes, the deadman stops the robot along its ramp, and who drove cannot come back with it."""
+    """The deadman stops the robot along its ramp, and the operator cannot reconnect."""
     with running(site) as (gateway, witness):
         ends_s = int(time.time()) + LIFE_S
         site.connect_operator("ends-soon", ends_s - LEAF_DAYS * 86_400)
@@ -174,14 +168,14 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
 @pytest.mark.long
 @pytest.mark.night
 def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSite) -> None:
-    """Under it the robot drives, or stands by its rules; afterwards it drives, engaged anew if need be."""
+    """The robot drives, or stands by its rules; afterwards it drives again."""
     host, _, port = site.network.endpoint.removeprefix("tls/").partition(":")
     with running(site) as (_, witness), ExitStack() as stack:
         flooders: list[subprocess.Popen[str]] = []
         before = [0]
 
         def is_over() -> bool:
-            """Flood once it drives; it is over when it drives again behind the flood."""
+            """Flood once it drives; over when it drives again after the flood."""
             is_fast = max(witness.speeds[before[0] :], default=0) * BIT_MPS > LIMIT_MPS * 0.9
             if is_fast and not flooders:
                 command = [sys.executable, "-c", FLOODER, host, port, str(HANDSHAKES)]
@@ -200,7 +194,7 @@ def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSit
 
 
 def test_a_viewers_stop_is_seen_to_be_carried_out(site: SecuredSite) -> None:
-    """Without a key, by what the robot signs."""
+    """Without a key, by the robot's signed states."""
     node = site.network.node(TransportRole.VIEWER, "vic")
     write_authority(node, site.fleet)
     settings = msgspec.structs.replace(
@@ -215,7 +209,7 @@ def test_a_viewers_stop_is_seen_to_be_carried_out(site: SecuredSite) -> None:
 
 
 def drive_until(site: SecuredSite, is_over: Callable[[], bool]) -> None:
-    """Drive, and engage anew where the robot was stopped by its rules, or a flooded router does not answer."""
+    """Drive, and engage again after a stop by the rules, or when a flooded router does not answer."""
     while not is_over():
         with suppress(Stopped, Unreachable, LeaseLost, CommandError), driving(site) as (_, lease):
             while not is_over():

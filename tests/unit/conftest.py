@@ -23,7 +23,7 @@ _zenoh_open = zenoh.open
 
 
 def _audited_open(*arguments: Any, **options: Any) -> zenoh.Session:  # noqa: ANN401 - as Zenoh's own
-    """Open a session: of what Zenoh's own threads do the interpreter knows nothing."""
+    """Open a session; the interpreter does not see Zenoh's own threads."""
     sys.audit("zenoh.open")
     return _zenoh_open(*arguments, **options)
 
@@ -33,7 +33,7 @@ zenoh.open = _audited_open
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """An audit hook cannot be removed, so it only looks while a unit test runs, or a fixture for it."""
+    """Refuse sockets and processes while a unit test or its fixtures run; an audit hook cannot be removed."""
     global _is_unit_test  # noqa: PLW0603 - the hook is the interpreter's, not a fixture's
     # Here pytest asks the conftest files of all directories.
     _is_unit_test = item.path.is_relative_to(Path(__file__).parent)

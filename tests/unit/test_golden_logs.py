@@ -1,4 +1,4 @@
-"""Golden logs are answered as they were: the same facts to each question."""
+"""Golden logs give the same answers."""
 
 import pytest
 
@@ -9,12 +9,12 @@ CASES = [(name, question) for name in LOGS for question in asked(name)]
 
 @pytest.mark.parametrize(("name", "question"), CASES)
 def test_a_golden_log_answers_as_it_did(name: str, question: str) -> None:
-    """Where the answer is better now: ``python -m tests.support.golden_logs``."""
+    """If the answer is better now: ``python -m tests.support.golden_logs``."""
     assert not (found := difference(name, question)), f"\n{found}"
 
 
 @pytest.mark.parametrize("name", LOGS)
 def test_a_golden_log_is_small_and_the_page_says_how_it_was_made(name: str) -> None:
-    """The page is the README beside them."""
+    """In the README beside them."""
     assert f"| `{name}` |" in (DIRECTORY / "README.md").read_text(encoding="utf-8")
     assert all(path.stat().st_size < MOST_BYTES for path in (DIRECTORY / name).iterdir())

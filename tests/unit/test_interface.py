@@ -1,4 +1,4 @@
-"""Nobody loses a flag, a column or a metric by accident."""
+"""Flags, columns and metrics change by intention only."""
 
 import pytest
 
@@ -7,5 +7,5 @@ from tests.support.interface import DIRECTORY, FILES, text_of
 
 @pytest.mark.parametrize("name", FILES)
 def test_the_interface_is_as_it_was(name: str) -> None:
-    """Where it has to change: ``python -m tests.support.interface``, and a line in CHANGELOG."""
+    """If it has to change: ``python -m tests.support.interface``, and a line in CHANGELOG."""
     assert text_of(name) == (DIRECTORY / name).read_text(encoding="utf-8")

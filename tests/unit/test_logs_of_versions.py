@@ -1,4 +1,4 @@
-"""Logs of later versions are read as far as they are known; those of before are in ``test_golden_logs``."""
+"""Logs of later versions are read as far as they are known; for earlier ones see ``test_golden_logs``."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +22,7 @@ from tests.support.messages import WALL_NS, event, key_of
 
 
 def newer_schema(kind: type = SafetyEvent) -> FileDescriptorSet:
-    """The schema of a newer version: a field more, and values more of two enumerations."""
+    """A newer version's schema: one more field, and more values of two enumerations."""
     files = FileDescriptorSet.FromString(descriptor_set(kind))
     for file in files.file:
         for message in file.message_type:
@@ -43,7 +43,7 @@ def newer_schema(kind: type = SafetyEvent) -> FileDescriptorSet:
 
 
 def newer_event(number: int = 0) -> bytes:
-    """An event of a newer version's kind, for a newer version's reason."""
+    """An event with a kind and a reason of a newer version."""
     told = message_class(SafetyEvent).FromString(compile_encoder(SafetyEvent)(event(number)))
     told.kind, told.reason = len(EventKind), len(Reason)  # type: ignore[attr-defined]  # made at run time
     return told.SerializeToString() + b"\x49" + bytes(8)  # Field 9, of 8 bytes.
@@ -55,7 +55,7 @@ def schema_record(data: bytes, kind: type = SafetyEvent) -> records.Schema:
 
 
 def test_a_newer_log_is_read_with_its_own_words() -> None:
-    """Its schema says what the numbers are called that this version does not have."""
+    """Its schema names the numbers that are unknown here."""
     data = newer_schema().SerializeToString()
     channel = records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1)
     topic = topic_of(channel, schema_record(data))
@@ -72,7 +72,7 @@ def test_a_newer_log_is_read_with_its_own_words() -> None:
 def test_a_newer_log_answers_every_question(
     question: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Events of a kind and for a reason that are new are told by their words."""
+    """Unknown kinds and reasons are shown by their names."""
     monkeypatch.chdir(tmp_path)
     channel = LogChannel(1, key_of(SafetyEvent), schema_name(SafetyEvent), newer_schema().SerializeToString())
     chunk = [(1, number, WALL_NS + number, newer_event(number)) for number in range(3)]
@@ -87,7 +87,7 @@ def test_a_newer_log_answers_every_question(
 
 @pytest.mark.parametrize("kind", LOGGED)
 def test_what_is_added_at_the_end_means_the_same(kind: type) -> None:
-    """Of every class, in both directions of time."""
+    """In every class, in both directions of time."""
     assert means_the_same(kind, descriptor_set(kind))
     assert means_the_same(kind, newer_schema(kind).SerializeToString())
     older = FileDescriptorSet.FromString(descriptor_set(kind))
@@ -100,7 +100,7 @@ def swap(ones: Any, first: int, second: int) -> None:  # noqa: ANN401 - fields o
 
 
 class Parts(NamedTuple):
-    """Of the schema of safety/event: its files, its fields, and the values of its reasons."""
+    """The schema of safety/event: its files, fields, and values of its reasons."""
 
     files: FileDescriptorSet
     fields: Any
@@ -108,7 +108,7 @@ class Parts(NamedTuple):
 
 
 def decoy(files: FileDescriptorSet, values: Any) -> None:  # noqa: ANN401 - of a descriptor
-    """Right values of an enumeration of this name in another package, and wrong ones in ours."""
+    """Right values in an enumeration of this name in another package, wrong ones in ours."""
     elsewhere = files.file.add(name="elsewhere.proto", package="elsewhere", syntax="proto3")
     for value in values:
         values_there = elsewhere.enum_type or [elsewhere.enum_type.add(name="Reason")]
@@ -135,7 +135,7 @@ CHANGES: dict[str, Callable[[Parts], object]] = {
 def test_a_number_that_means_something_else_is_never_taken_for_ours(
     change: Callable[[Parts], object],
 ) -> None:
-    """Such messages are read by the log's own schema alone, and a check says so."""
+    """The log's own schema decodes it, and a check reports it."""
     files = FileDescriptorSet.FromString(descriptor_set(SafetyEvent))
     values = next(enum for file in files.file for enum in file.enum_type if enum.name == "Reason").value
     change(Parts(files, files.file[-1].message_type[0].field, values))
@@ -151,6 +151,5 @@ def test_a_number_that_means_something_else_is_never_taken_for_ours(
 
 @pytest.mark.parametrize("data", [b"", b"\xff", b"\x0a\x05nope!"])
 def test_a_schema_that_is_none_makes_nothing_raise(data: bytes) -> None:
-    """Nor is it ours."""
     topic = topic_of(records.Channel(1, key_of(SafetyEvent), "protobuf", {}, 1), schema_record(data))
     assert topic.schema == "cruiser.SafetyEvent"

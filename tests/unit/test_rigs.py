@@ -5,7 +5,7 @@ from tests.support.rigs.gateway import GatewayRig, Operator, copied, driving
 
 
 def _goes_on(rig: GatewayRig, operator: Operator) -> tuple[object, ...]:
-    """All that comes of a drive with a fault and a stop."""
+    """The outcome of a drive with a fault and a stop."""
     operator.drive(0.5, 10.0, seconds=1)
     rig.fault("bumper front on for 700ms")
     operator.drive(0.5, seconds=1)
@@ -24,7 +24,7 @@ def _driven_anew() -> tuple[GatewayRig, Operator]:
 
 
 def test_a_copied_rig_goes_on_as_its_origin_and_disturbs_no_other() -> None:
-    """The same frames, decisions and journal, whichever of them goes on first."""
+    """The same frames, decisions and journal in any order."""
     first, second, third = driving(), driving(), driving()
     ways = [_goes_on(*_driven_anew()), _goes_on(*second), _goes_on(*copied(*first)), _goes_on(*first)]
     ways.append(_goes_on(*third))

@@ -1,6 +1,6 @@
-"""Zenoh's own router from the file that ``cruiser provision router`` makes: what is otherwise than with ours.
+"""Zenoh's own router from the file of ``cruiser provision router``: where it differs from ours.
 
-That everything else is the same is seen by the tests that ``make test-zenohd`` runs beside these.
+``make test-zenohd`` runs tests with both for all else.
 """
 
 from __future__ import annotations
@@ -34,25 +34,22 @@ ADMIN_SPACE: Final = "@/*/router/**"
 
 @pytest.fixture
 def network(tmp_path: Path) -> Network:
-    """A network of this test."""
     return Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
 
 
 @pytest.fixture
 def file(network: Network) -> Path:
-    """The router's file."""
     return network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
 
 
 @pytest.fixture
 def zenohd(file: Path) -> Iterator[Zenohd]:
-    """The router."""
     with closing(Zenohd(file)) as running:
         yield running
 
 
 def test_it_is_of_the_version_that_nodes_have(zenohd: Zenohd) -> None:
-    """And it is this program that the tests of this run meet at."""
+    """And it is the program under test."""
     said = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True, check=True).stdout
     pinned = re.search(r"^eclipse-zenoh==(\S+)", (ROOT / "constraints-run.txt").read_text("utf-8"), re.MULTILINE)
     assert pinned is not None
@@ -61,12 +58,11 @@ def test_it_is_of_the_version_that_nodes_have(zenohd: Zenohd) -> None:
 
 
 def test_it_listens_where_its_file_says_and_nowhere_else(network: Network, zenohd: Zenohd) -> None:
-    """Neither HTTP nor multicast."""
     assert listening(zenohd.process.pid) == {network.endpoint.removeprefix("tls/")}
 
 
 def asked(network: Network, role: TransportRole, name: str) -> list[str]:
-    """What a node of this role that ignores its own file is answered about the router."""
+    """The router's answers about itself to a node of this role that ignores its own file."""
     with network.session(role, name, access_control__enabled=False) as session:
         assert session.info.routers_zid()
         replies = session.get(ADMIN_SPACE, timeout=2, target=zenoh.QueryTarget.ALL)
@@ -74,14 +70,14 @@ def asked(network: Network, role: TransportRole, name: str) -> list[str]:
 
 
 def test_nobody_asks_it_about_itself(network: Network, zenohd: Zenohd) -> None:
-    """It has its admin space on, whatever its file says; neither its rows nor its permissions let anybody."""
+    """Its admin space is always on; neither its rules nor its permissions admit anybody."""
     del zenohd
     roles = [role for role in TransportRole if role is not TransportRole.ROUTER]
     assert {role: asked(network, role, "somebody") for role in roles} == {role: [] for role in roles}
 
 
 def test_a_file_without_access_control_and_permissions_would_let_anybody_ask(network: Network, file: Path) -> None:
-    """So the test above can fail."""
+    """The test above can fail."""
     said = json.loads(file.read_text("utf-8"))
     said["access_control"]["enabled"] = False
     said["adminspace"]["permissions"]["read"] = True
@@ -91,7 +87,6 @@ def test_a_file_without_access_control_and_permissions_would_let_anybody_ask(net
 
 
 def test_a_service_manager_ends_it_and_nodes_find_the_next_one(network: Network, file: Path) -> None:
-    """SIGTERM is its end; whoever was connected connects again."""
     first = Zenohd(file)
     with network.session(TransportRole.OPERATOR, "ann") as session:
         assert session.info.routers_zid()
@@ -103,7 +98,7 @@ def test_a_service_manager_ends_it_and_nodes_find_the_next_one(network: Network,
 
 
 def test_it_runs_on_with_a_certificate_that_is_over_and_nobody_connects(network: Network) -> None:
-    """Ours does not start then, and says what to do."""
+    """Ours does not start, and says what to do."""
     born_s = int(time.time()) - (LEAF_DAYS + 1) * 86_400
     over = network.node(TransportRole.ROUTER, "127.0.0.1", born_s=born_s) / "router.json5"
     with closing(Zenohd(over)) as zenohd:

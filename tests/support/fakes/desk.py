@@ -7,8 +7,6 @@ from gateway.zenoh.client import PendingQuery
 
 
 class FakeDeskListener:
-    """What arrives is put in ``waiting``."""
-
     def __init__(self) -> None:
         self.waiting: list[Arrival] = []
         self.linked = True
@@ -22,7 +20,7 @@ class FakeDeskListener:
 
 
 class FakeCommandPort:
-    """Keeps what goes out, and replies what it is told to."""
+    """Stores what goes out, and gives the replies that a test sets."""
 
     def __init__(self) -> None:
         self.puts: list[tuple[str, str, bytes, bytes]] = []

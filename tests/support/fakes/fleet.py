@@ -37,8 +37,8 @@ class FakeFleet:
     """Robots that have a liveliness token and answer a stop.
 
     Attributes:
-        publishes: each publishes 20 times a second that it is latched and stands; else nothing.
-        moves: or states that change, and once a second its health.
+        publishes: each publishes 20 times a second that it is latched and stands.
+        moves: each publishes states that change, and its health once a second.
     """
 
     def __init__(self, count: int, *, publishes: bool = False, moves: bool = False) -> None:

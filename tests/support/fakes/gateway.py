@@ -17,8 +17,6 @@ from tests.support.messages import ROOT
 
 @dataclass
 class FakeGateway:
-    """A gateway that says what it is told to say."""
-
     robot: str
     listen: str = field(default_factory=free_endpoint)
     connect: str = ""
@@ -62,7 +60,7 @@ class FakeGateway:
 
 
 def speech(*gateways: FakeGateway, says: Sequence[Message]) -> Callable[[], None]:
-    """Each of the gateways says all of it, each time that this is called."""
+    """Let each gateway publish all of these messages at each call."""
 
     def speak() -> None:
         for one in gateways:

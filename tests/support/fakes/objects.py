@@ -13,10 +13,10 @@ class FakeObjects:
     """A store that answers by ranges.
 
     Attributes:
-        ranges: name, beginning and end of each range that was asked for, in order.
-        fetched: bytes that were sent.
-        breaks_after: so many ranges are answered, and then its connection is lost.
-        old_names: the list that it answers instead of the present one.
+        ranges: name, begin and end of each range that was requested, in order.
+        fetched: bytes sent.
+        breaks_after: the connection is lost after so many ranges.
+        old_names: a list to answer instead of the current one.
     """
 
     def __init__(self, **objects: bytes) -> None:
@@ -31,7 +31,7 @@ class FakeObjects:
 
     @property
     def requests(self) -> int:
-        """Number of requests, those for lists not counted."""
+        """Number of requests without lists."""
         return len(self.ranges) + len(self.looks)
 
     def look(self, name: str) -> StoredObject | None:
@@ -69,5 +69,4 @@ class FakeObjects:
 
 @lru_cache(64)
 def mark_of(data: bytes) -> str:
-    """The mark of an object with this content."""
     return hashlib.md5(data, usedforsecurity=False).hexdigest()

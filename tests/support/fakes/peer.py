@@ -18,7 +18,7 @@ PORTS: Final = range(10_000, 32_000)
 
 
 def free_endpoint(protocol: str = "tcp") -> str:
-    """An endpoint of this machine that nobody listens on, nor on the port after it: a gateway takes both."""
+    """An endpoint of this machine whose port and the one after it are free: a gateway takes both."""
     while True:
         port = SystemRandom().choice(PORTS)
         with socket.socket() as probe, socket.socket() as after, suppress(OSError):
@@ -28,8 +28,6 @@ def free_endpoint(protocol: str = "tcp") -> str:
 
 
 class Peer:
-    """Publishes samples, and answers queries on one key."""
-
     def __init__(self, endpoint: str) -> None:
         config = zenoh.Config()
         for path, value in session_settings(ZenohSettings(), [], [endpoint]).items():
@@ -46,7 +44,6 @@ class Peer:
 
     @property
     def session(self) -> zenoh.Session:
-        """The peer's session, for what it cannot do itself."""
         return self._session
 
     def put(self, sample: ReceivedSample) -> None:

@@ -14,16 +14,12 @@ from tests.support.messages import recorder_health
 
 
 def a_reply(detail: str = "recording", *, ok: bool = True, files: list[str] | None = None) -> bytes:
-    """A recorder's reply as it is on the wire."""
     return msgspec.msgpack.encode(RecorderReply(ok=ok, detail=detail, files=files or [], health=recorder_health()))
 
 
 @contextmanager
 def answering(peer: Peer, name: str, *payloads: bytes, silent: str = "") -> Iterator[list[str]]:
-    """Answer what is asked of recorders of this name, but for one verb; the keys that were asked.
-
-    The name may be anything that a key takes: who answers on the network may be anybody.
-    """
+    """Answer queries to recorders of this name, but for one verb; yields the keys that were asked."""
     asked: list[str] = []
     stop = threading.Event()
     queries = peer.session.declare_queryable(

@@ -43,7 +43,7 @@ RECORDER_PLAN = RecorderPlan(
 
 
 def failing(number: int) -> Callable[..., Any]:
-    """A step that a disk fails, with this error of the system."""
+    """A step of a disk that fails with this system error."""
 
     def fail(*_arguments: object, **_named: object) -> None:
         raise OSError(number, os.strerror(number))
@@ -52,7 +52,7 @@ def failing(number: int) -> Callable[..., Any]:
 
 
 class SlowDisk:
-    """Syncs of files that wait, and may then fail, on demand; those of directories do not."""
+    """Syncs of files wait, and then may fail, on demand; those of directories do not."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.goes_on = threading.Event()
@@ -83,7 +83,7 @@ class MemoryFile:
 
 
 class MemoryWriter:
-    """Writes the files of several logs into memory, as the writer's thread does; loses chunks on demand."""
+    """Writes the files of several logs into memory, and loses chunks on demand."""
 
     def __init__(self) -> None:
         self.files: dict[str, list[MemoryFile]] = {}
@@ -146,7 +146,7 @@ class MemoryWriter:
 
 
 class FakeSource:
-    """A source that brings these samples, and answers the queries on a key with its replies, the last for ever."""
+    """A source with these samples; answers queries on a key with its replies, the last one again and again."""
 
     def __init__(
         self, samples: Iterable[ReceivedSample] = (), replies: dict[str, list[ReceivedSample]] | None = None
@@ -191,8 +191,6 @@ class FakeSource:
 
 
 class FakeAsked:
-    """A request that remembers what it was told."""
-
     def __init__(self, request: Request | PayloadFault) -> None:
         self.asked = OperatorRequest("operator-1", request, self.reply)
         self.replies: list[RecorderReply] = []
@@ -207,6 +205,5 @@ class FakeAsked:
 
     @property
     def answer(self) -> RecorderReply:
-        """The one reply."""
         (answer,) = self.replies
         return answer

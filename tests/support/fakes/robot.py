@@ -49,10 +49,9 @@ class FakeRobot:
 
     Attributes:
         loose: its parking brake never reads applied once it was released.
-        health: what its gateway says of itself, in each tick.
-        mode: what the chassis reads; None is what it is told.
-        now_ns: its clock, monotonic: a tick for each tick that it does.
-        moves_mps: how fast its wheels turn, whatever it is told; None if they obey.
+        mode: what the chassis reads; None is what it was commanded.
+        now_ns: its monotonic clock: one tick per tick of its loop.
+        moves_mps: how fast its wheels turn, whatever the command; None if they follow it.
     """
 
     name: str = "cruiser-1"
@@ -109,12 +108,11 @@ class FakeRobot:
         return settings_for(self.listen)
 
     def seen_by(self, operator: str = "first") -> Robot:
-        """The robot as this operator sees it."""
         return Robot.connect(self.name, operator, self.there, timeout_s=20)
 
     @contextmanager
     def engaged(self) -> Iterator[tuple[Robot, Lease]]:
-        """First has the lease of an engaged robot whose brake is released."""
+        """The first operator has the lease of an engaged robot whose brake is released."""
         with self.seen_by() as robot, robot.lease() as lease:
             lease.engage()
             lease.unpark()
@@ -130,12 +128,12 @@ class FakeRobot:
 
     @property
     def speed_mps(self) -> float:
-        """What the chassis is told; forward is positive."""
+        """The commanded speed; forward is positive."""
         return self._told()[0]
 
     @property
     def angle_deg(self) -> float:
-        """What the chassis is told; left is positive."""
+        """The commanded angle; left is positive."""
         told = self.flow.arbiter.output.actuation
         return told.angle_deg if told is not None else 0.0
 

@@ -36,18 +36,12 @@ FLAGS = (
 
 
 class DeskScene:
-    """A robot on a served bus, and a desk that shows it.
-
-    Attributes:
-        endpoint: where the desk finds the gateway.
-        address: where the desk is, as it is typed into a browser.
-        router: the process between gateway and desk, if there is one.
-    """
+    """A robot on a served bus, and a desk that shows it; ``router`` is the process between them, if any."""
 
     def __init__(
         self, stack: ExitStack, *words: str, desk_words: Sequence[str] = (), routed: Path | None = None
     ) -> None:
-        """Start all of it; ``words`` are the gateway's. With a directory for its files, a router too."""
+        """Start all; ``words`` are the gateway's. With a directory for its files, a router too."""
         self.endpoint = free_endpoint()
         self.router: Running | None = None
         if routed is not None:
@@ -70,17 +64,17 @@ class DeskScene:
         self._told_mps: list[float] = []
 
     def told_mps(self) -> list[float]:
-        """The speeds that the chassis was told so far, one for each burst."""
+        """The commanded speeds so far, one per burst."""
         self._told_mps += map(self._speed, self.listener.bursts[len(self._told_mps) : -1])
         return self._told_mps
 
     @property
     def is_told_to_move(self) -> bool:
-        """The chassis was told to move last."""
+        """The last command has a speed."""
         return bool(self.told_mps()) and self.told_mps()[-1] != 0
 
     def wait_told_zero(self) -> None:
-        """Wait until the chassis is told to stand, and see that it is told nothing else for a second."""
+        """Wait until the commanded speed is zero, and see that it stays so for a second."""
         wait_until(lambda: not self.is_told_to_move)
         stood, end_s = len(self.told_mps()), time.monotonic() + 1.0
         wait_until(lambda: time.monotonic() > end_s)
@@ -93,13 +87,12 @@ class DeskScene:
 
 @contextmanager
 def desk_scene(*words: str, desk_words: Sequence[str] = (), routed: Path | None = None) -> Iterator[DeskScene]:
-    """A robot and a desk; with a directory for its files, a router between them."""
     with ExitStack() as stack:
         yield DeskScene(stack, *words, desk_words=desk_words, routed=routed)
 
 
 def browser() -> str:
-    """Return its place; without one the test is skipped. Ubuntu's is a snap, which opens no file of a test."""
+    """The browser's path; without one the test is skipped. Ubuntu's snap opens no file of a test."""
     found = [os.environ.get("TEST_BROWSER", ""), *map(shutil.which, NAMES)]
     for program in found:
         if program and "/snap/" not in program:
@@ -109,7 +102,7 @@ def browser() -> str:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """The system's Chromium, without a window."""
+    """The system's Chromium without a window."""
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=browser(), args=[*FLAGS, *sandbox])
@@ -120,10 +113,7 @@ def chromium() -> Iterator[Browser]:
 
 
 def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str = "") -> Page:
-    """The page of the robot, once it can be driven; from another address than the desk's own, if given.
-
-    A stop that a busy machine has caused meanwhile is told, and reset.
-    """
+    """The robot's page, once it can be driven; resets a stop that a busy machine has caused."""
     page = context.new_page()
     page.goto(f"{address or scene.address}#/robot/cruiser-1")
     band = page.locator(".band")
@@ -135,7 +125,7 @@ def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str
 
 
 def is_ready(page: Page) -> bool:
-    """The page says that the robot waits for somebody who drives it."""
+    """The page says that the robot waits for a driver."""
     return page.locator(".band .word", has_text="ready").is_visible()
 
 
@@ -144,7 +134,7 @@ def wait_ready(page: Page) -> None:
 
 
 def take_control(page: Page) -> None:
-    """Engage the robot from its page; again, where a busy machine let it stop by its deadman at once."""
+    """Engage from the page; again where a busy machine let the deadman expire at once."""
     button = page.locator("button:visible:enabled", has_text="Take control")
     for _ in range(ATTEMPTS):
         button.click()
@@ -155,7 +145,7 @@ def take_control(page: Page) -> None:
 
 
 def reset(page: Page) -> None:
-    """Reset the robot by the band's button; again, as long as a stop is said anew, or the guard still sends."""
+    """Press the band's Reset until the robot is ready."""
     button = page.locator(".band").get_by_role("button", name="Reset")
 
     def press() -> None:
@@ -167,7 +157,7 @@ def reset(page: Page) -> None:
 
 
 def is_engaged(page: Page) -> bool:
-    """This page drives the robot, and what is pressed from now on counts."""
+    """This page drives, and counts what is pressed from now on."""
     return is_driven(page) and page.get_by_text("You are driving.").is_visible()
 
 
@@ -176,7 +166,7 @@ def is_driven(page: Page) -> bool:
 
 
 def hold_pad(page: Page, forward: float = 0.8, left: float = 0.0) -> None:
-    """Press the pointer on the pad, and keep it there."""
+    """Press the pointer on the pad and hold it."""
     box = page.locator(".pad").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + box["width"] * (1 - left) / 2, box["y"] + box["height"] * (1 - forward) / 2)
@@ -184,10 +174,7 @@ def hold_pad(page: Page, forward: float = 0.8, left: float = 0.0) -> None:
 
 
 def drive(scene: DeskScene, page: Page, key: str = "", forward: float = 0.8) -> None:
-    """Hold the pad, or a key, until the robot moves.
-
-    On a busy machine the browser may stall: then the page lets go, or the robot has stopped by its deadman.
-    """
+    """Hold the pad, or a key, until the robot moves; again where a busy machine stalls the browser."""
     for _ in range(ATTEMPTS):
         if not is_driven(page):
             take_control(page)

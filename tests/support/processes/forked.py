@@ -1,8 +1,7 @@
-"""``cruiser`` commands as processes of their own, without the imports that are most of what their start takes.
+"""``cruiser`` commands as processes, without most of the cost of their imports.
 
-Each is forked from a process that has imported all commands, and that has no thread and no file of a test open.
-What PYTHONPATH names may be another version: a new interpreter imports it. Other tests give commands to a shell,
-and start the interpreter with them.
+Each is forked from a process that has imported all commands, without threads or open files. With PYTHONPATH, which
+may name another version, a new interpreter starts instead.
 """
 
 import os
@@ -25,7 +24,7 @@ _CONTEXT.set_forkserver_preload([__name__, *(place.partition(":")[0] for place, 
 
 
 class Forked:
-    """A command that was started. It has the names of ``subprocess.Popen`` for what can be done with it."""
+    """A started command, with the names of ``subprocess.Popen``."""
 
     def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
         self._words = list(words)
@@ -43,7 +42,6 @@ class Forked:
 
     @property
     def pid(self) -> int:
-        """The number of the process."""
         assert self._process.pid is not None
         return self._process.pid
 
@@ -62,7 +60,6 @@ class Forked:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end. Returns the exit code."""
         if self._reading.acquire(timeout=-1 if timeout is None else timeout):
             try:
                 self._process.join(timeout)
@@ -74,7 +71,7 @@ class Forked:
         return code
 
     def communicate(self, timeout: float) -> tuple[str, str]:
-        """Wait for the end. Returns what was still to be read of stdout and stderr; kills what runs on."""
+        """Wait for the end. Returns the rest of stdout and stderr; kills it after the timeout."""
         with ThreadPoolExecutor(2) as readers, self.stdout, self.stderr:
             out, err = readers.submit(self.stdout.read), readers.submit(self.stderr.read)
             try:
@@ -99,7 +96,7 @@ class Forked:
 def _run(
     words: list[str], environment: Mapping[str, str], directory: str, stdout: Connection, stderr: Connection
 ) -> None:
-    """Become that command, in the process that was forked for it."""
+    """Become that command, in the forked process."""
     os.chdir(directory)
     # Under nohup the tests ignore it; what they start is told by it to end.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -18,7 +18,7 @@ from tests.support.waiting import wait_until
 
 
 class Running:
-    """A ``cruiser`` command in a process of its own. ``said`` collects its stderr line by line."""
+    """A ``cruiser`` command as a process; ``said`` has the lines of its stderr."""
 
     def __init__(self, *words: str, **environment: str) -> None:
         self.process = Forked(words, os.environ | environment)
@@ -38,7 +38,7 @@ class Running:
         self.process.stderr.close()
 
     def wait_says(self, pattern: str) -> re.Match[str]:
-        """Wait for a line on stderr that has this in it."""
+        """Wait for a line on stderr that matches."""
         found: list[re.Match[str]] = []
 
         def search() -> bool:
@@ -53,7 +53,6 @@ class Running:
         return found[0]
 
     def stop(self, number: signal.Signals = signal.SIGTERM) -> int:
-        """Send a signal and wait for the end. Returns the exit code."""
         self.process.send_signal(number)
         return self.process.wait(30)
 
@@ -63,7 +62,7 @@ class Running:
 
 
 class Managed(Running):
-    """A command under a service manager, which starts it again whenever it ends in order by itself."""
+    """A command under a service manager, which starts it again whenever it ends with 0 by itself."""
 
     def __init__(self, *words: str) -> None:
         self._is_stopped = False
@@ -92,7 +91,7 @@ class Managed(Running):
 
 
 def kill_all(pid: int) -> None:
-    """Kill a process and all that it has started: a guard outlives its gateway, while it stops the robot."""
+    """Kill a process and its children: a guard outlives its gateway while it stops the robot."""
     children = [child for task in Path(f"/proc/{pid}/task").iterdir() for child in _children(task)]
     os.kill(pid, signal.SIGKILL)
     for child in children:
@@ -108,7 +107,7 @@ def _children(task: Path) -> list[int]:
 
 @contextmanager
 def chassis(*words: str, listen: str = "127.0.0.1:0") -> Iterator[tuple[Running, str]]:
-    """A virtual chassis, and where it listens. As a real one it waits for no processor, if the user is root."""
+    """A virtual chassis and its address; with real-time priority if the user is root."""
     with Running("sim", "--listen", listen, *words) as sim:
         with suppress(PermissionError):
             os.sched_setscheduler(sim.process.pid, os.SCHED_RR, os.sched_param(1))
@@ -117,7 +116,6 @@ def chassis(*words: str, listen: str = "127.0.0.1:0") -> Iterator[tuple[Running,
 
 @contextmanager
 def gateway(address: str, endpoint: str, *words: str, kind: type[Running] = Running) -> Iterator[Running]:
-    """A gateway on the bus of a virtual chassis, ready."""
     bus = ["--interface", "socketcand", "--channel", address, "--listen", endpoint]
     with kind("gateway", *bus, *words) as running:
         running.wait_says("^gateway: ")
@@ -131,7 +129,7 @@ def run(words: Sequence[str], timeout_s: float = 100, **environment: str) -> sub
 
 
 def wait_for_chassis(connect: str, *words: str) -> None:
-    """Wait until the gateway there sees its chassis: before that a stop is said not to be carried out."""
+    """Wait until the gateway sees its chassis: earlier, a stop is reported as not carried out."""
 
     def sees() -> bool:
         lines = run(["watch", "cruiser-1", "--seconds", "0.5", "--json", "--connect", connect, *words]).stdout

@@ -29,14 +29,14 @@ COMMANDS = {message.can_id: message.name for message in load(Variant.COARSE).com
 
 
 class Burst(msgspec.Struct):
-    """Command frames that were sent together, and when the first was heard."""
+    """Command frames sent together, and the time of the first."""
 
     at_ns: int
     frames: list[Frame]
 
     @property
     def is_by_guard(self) -> bool:
-        """The stand-in lights the lamp in each burst, the guard never does, though it puts it out."""
+        """The stand-in lights the lamp in each burst; the guard never does, but puts it out."""
         return not any(COMMANDS[frame.can_id] == "Auto_LightCmd" and frame.data[0] & 1 for frame in self.frames)
 
     @property
@@ -45,11 +45,7 @@ class Burst(msgspec.Struct):
 
 
 class Listener:
-    """Hears the bus on a thread of its own.
-
-    Attributes:
-        silence: frames of feedback since the last command.
-    """
+    """Reads the bus on a thread; ``silence`` counts feedback frames since the last command."""
 
     def __init__(self, bus: Bus) -> None:
         self.view = ChassisView()
@@ -66,7 +62,6 @@ class Listener:
         self._bus.close()
 
     def mode(self) -> Mode:
-        """The mode that the chassis reads now."""
         return self.view.mode(time.monotonic_ns())
 
     def stands(self) -> bool:
@@ -76,7 +71,7 @@ class Listener:
         return self.view.slowest_mps(Variant.COARSE, time.monotonic_ns()) or 0.0
 
     def by_guard(self) -> list[Burst]:
-        """The guard's bursts, but for one that may still be coming in."""
+        """The guard's bursts, without one that may still be incomplete."""
         return [burst for burst in self.bursts[:-1] if burst.is_by_guard]
 
     def _listen(self) -> None:
@@ -119,14 +114,13 @@ class Watched:
         return int(self._values("guard")[0])
 
     def wait_says(self, line: str) -> None:
-        """Wait until the stand-in has said this."""
         wait_until(lambda: line in self.said)
 
     def send_signal(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
 
     def guard_lives(self) -> bool:
-        """The guard's process is there, and is no zombie."""
+        """The guard's process is there, and no zombie."""
         try:
             status = Path(f"/proc/{self.guard}/stat").read_text(encoding="ascii")
         except FileNotFoundError:
@@ -138,11 +132,11 @@ class Watched:
 
     @property
     def late_ms(self) -> int:
-        """How late the stand-in's latest tick was, once it has ended."""
+        """The latest tick of the stand-in, once it has ended."""
         return int(self._values("late_ms")[0])
 
     def close(self) -> None:
-        """End the stand-in, however it is, and let the guard finish."""
+        """End the stand-in in any state, and let the guard finish."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -162,17 +156,13 @@ class Watched:
 
 @contextmanager
 def listening(address: str) -> Iterator[Listener]:
-    """Somebody on the bus who only listens."""
     with closing(Listener(open_bus(CanSettings(interface="socketcand", channel=address)))) as listener:
         yield listener
 
 
 @contextmanager
 def watched(speed_mps: float = 1.0) -> Iterator[Watched]:
-    """A stand-in that a guard watches, as soon as it drives at half a metre a second.
-
-    Where a busy machine holds up the stand-in meanwhile, the guard rightly stops the robot: then all begins again.
-    """
+    """A stand-in that a guard watches, driving; again from the start where a busy machine made the guard act."""
     for _ in range(ATTEMPTS):
         with (
             chassis() as (_, address),

@@ -2,10 +2,9 @@
 
 Usage: python -m tests.support.processes.guard_stand_in HOST:PORT SPEED_MPS
 
-It says on stdout what happens, a line each. SIGUSR1: its gate refuses everything from now on. SIGUSR2: it
-disables the chassis, and then tells it nothing any more. SIGTERM: it ends as a gateway does. Each of its bursts
-ends with a light frame that switches the lamp on, which the guard never does: so whoever listens knows who sent
-what.
+Prints what happens, a line each. SIGUSR1: its gate refuses everything. SIGUSR2: it disables the chassis, then
+falls silent. SIGTERM: it ends as a gateway does. Each of its bursts ends with a light frame that switches the lamp
+on, which the guard never does.
 """
 
 from __future__ import annotations
@@ -28,8 +27,6 @@ RESTING_TICKS = 10
 
 
 class StandIn:
-    """The knobs are signals."""
-
     def __init__(self, address: str, speed_mps: float) -> None:
         self.settings = Settings(
             can=CanSettings(interface="socketcand", channel=address),

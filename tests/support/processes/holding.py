@@ -27,7 +27,7 @@ LEASE_SEEN_S = 3.0
 
 
 def hold(robot: Robot, lease: Lease, speed_mps: float) -> None:
-    """Drive, and engage again where the machine was too busy for it."""
+    """Drive, and engage again where the machine was too busy."""
     try:
         if not lease.is_engaged:
             # Its states may be those of before the lease for a moment; after that, without it the lease is lost.
@@ -49,7 +49,7 @@ def _is_leased(state: SafetyState) -> bool:
 
 
 def is_done(act: Callable[[], object]) -> bool:
-    """Try it. On a busy machine a robot may refuse, or be out of reach, for a moment."""
+    """Try it; on a busy machine a robot may refuse, or be unreachable, for a moment."""
     try:
         act()
     except (RobotError, Unreachable):

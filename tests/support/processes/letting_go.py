@@ -10,7 +10,7 @@ from playwright.sync_api import Page
 
 
 def shut_the_lid(page: Page) -> None:
-    """The laptop sleeps for two seconds: none of the page's processes runs, then all go on as they were."""
+    """The laptop sleeps for two seconds: the page's processes stand still, then go on."""
     browser = page.context.browser
     assert browser is not None
     processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]

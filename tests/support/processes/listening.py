@@ -10,7 +10,7 @@ UNCONNECTED: Final = "07"
 
 
 def listening(pid: int) -> set[str]:
-    """Addresses and ports that others can reach a process at: TCP that listens, UDP that is bound."""
+    """Addresses at which others reach a process: TCP that listens, UDP that is bound."""
     found = set()
     sockets = _sockets(pid)
     for table, state in (("tcp", LISTENS), ("tcp6", LISTENS), ("udp", UNCONNECTED), ("udp6", UNCONNECTED)):

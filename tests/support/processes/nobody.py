@@ -12,9 +12,9 @@ READS_ALL: Final = ("--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_re
 
 
 def become_nobody() -> list[str]:
-    """What makes a command one of a user who is not root: nothing, for whom that is true already.
+    """A prefix that runs a command as a user who is not root; empty if we are none.
 
-    Where such a user cannot reach this interpreter, as in a home of root's, the command keeps the right to read.
+    Where such a user cannot reach this interpreter, as in root's home, the command keeps the right to read.
     """
     if os.getuid() != 0:
         return []

@@ -1,4 +1,4 @@
-"""An operator's program as a process of its own: drives at 0.6 m/s, and hangs when it is told to.
+"""An operator's program as a process: drives at 0.6 m/s, and hangs on SIGUSR1.
 
 Usage: python -m tests.support.processes.operator_session ENDPOINT OPERATOR
 """
@@ -25,7 +25,7 @@ def token_key(operator: str) -> str:
 
 
 def main(endpoint: str, operator: str) -> None:
-    """Drive for ever. It prints ``driving`` when the robot does."""
+    """Drive for ever. Prints ``driving`` once the robot does."""
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     # The whole program stands, and its stream with it; Zenoh's own threads live, and so do link and token.
     signal.signal(HANG, lambda _number, _frame: ctypes.PyDLL(None).sleep(HANG_S))

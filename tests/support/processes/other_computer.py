@@ -12,7 +12,7 @@ DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.8, parkin
 
 
 def leave_rolling(address: str, listener: Listener) -> None:
-    """Somebody drove the robot and went away: it obeys the last command for ever."""
+    """Another computer drove the robot and went away: it follows the last command for ever."""
     opened = open_bus(CanSettings(interface="socketcand", channel=address))
     maker = FrameMaker()
 

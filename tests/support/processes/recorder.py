@@ -36,8 +36,6 @@ def environment() -> dict[str, str]:
 
 
 class Process:
-    """A running recorder."""
-
     def __init__(self, process: Forked | subprocess.Popen[str]) -> None:
         self._process = process
         self.ready = self.read_line()
@@ -47,7 +45,7 @@ class Process:
         return self._process.stderr.readline()
 
     def end(self, number: int | None = signal.SIGTERM) -> tuple[int, str, str]:
-        """Send a signal, wait; exit code, stdout and the rest of stderr."""
+        """Send a signal and wait. Returns exit code, stdout and the rest of stderr."""
         if number is not None:
             self._process.send_signal(number)
         out, err = self._process.communicate(timeout=30)
@@ -66,7 +64,7 @@ class Process:
 
 @contextmanager
 def recording(*words: str, ulimit: str = "") -> Iterator[Process]:
-    """A recorder that does not outlive the test. With ``ulimit`` a shell bounds what it may have."""
+    """A recorder that ends with the test; ``ulimit`` limits its resources by a shell."""
     if ulimit:
         process = Process(
             subprocess.Popen(
@@ -87,19 +85,18 @@ def recording(*words: str, ulimit: str = "") -> Iterator[Process]:
 
 
 def at(directory: Path, endpoint: str) -> list[str]:
-    """The words of a recorder that is called bench."""
     return ["-o", str(directory), "--connect", endpoint, "--name", "bench"]
 
 
 def ask(*words: str) -> tuple[int, str, str]:
-    """Run ``cruiser record`` with an action; exit code, stdout and stderr."""
+    """Run ``cruiser record`` with an action. Returns exit code, stdout and stderr."""
     command = Forked(["record", *words], environment())
     out, err = command.communicate(60)
     return command.wait(), out, err
 
 
 def link(peer: Peer, directory: Path) -> None:
-    """Publish until the recorder has heard of it and opened its log."""
+    """Publish until the recorder has opened its log."""
 
     def condition() -> bool:
         peer.put(FakeSample("fleet/cruiser-1/link", "zenoh/bytes", b""))
@@ -113,14 +110,14 @@ def counts(found: LogInfo) -> dict[str, int]:
 
 
 def heard(peer: Peer, directory: Path, name: str) -> bool:
-    """Publish; is it in the log?"""
+    """Publish once; true once the log has it."""
     peer.put(FakeSample(f"fleet/cruiser-1/{name}", "zenoh/bytes", b""))
     time.sleep(0.05)
     return any(counts(one).get(f"fleet/cruiser-1/{name}") for one in readable(directory))
 
 
 def readable(directory: Path) -> Iterator[LogInfo]:
-    """The logs of a directory, some of which may this moment be begun or renamed."""
+    """The logs of a directory, some of which may be opened or renamed this moment."""
     with suppress(FileNotFoundError):
         for path in directory.iterdir():
             with suppress(CommandError):
@@ -132,13 +129,13 @@ def whole(directory: Path) -> list[Path]:
 
 
 def sequences(path: Path, topic: str) -> list[int]:
-    """The messages of a topic in a whole file, as the mcap package reads them with all checksums."""
+    """Sequences of a topic in a whole file, as the mcap package reads it with all checksums."""
     reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
     return [message.sequence for _, _, message in reader.iter_messages(topics=[topic])]
 
 
 class Told:
-    """What recorders say of themselves to a peer."""
+    """What recorders publish about themselves."""
 
     def __init__(self, peer: Peer) -> None:
         self._subscriber = peer.session.declare_subscriber(
@@ -166,7 +163,7 @@ class Told:
         return [one for _, one in self._take() if isinstance(one, RecordGap)]
 
     def wait_for_health(self, recorder: str = "bench") -> RecorderHealth:
-        """One that comes from now on."""
+        """The next health that arrives."""
         count = len(self.healths(recorder))
         wait_until(lambda: len(self.healths(recorder)) > count)
         return self.healths(recorder)[-1]

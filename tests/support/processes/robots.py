@@ -1,4 +1,4 @@
-"""Many robots' states without gateways, from a process of its own: as much as a desk has to carry.
+"""Many robots' states from one process: the load of a desk.
 
 Usage: python -m tests.support.processes.robots COUNT, until SIGTERM
 """

@@ -1,6 +1,6 @@
-"""A bad link over TCP on the loopback: a delay, one queue with a rate upwards, a slow or stalled way back.
+"""A bad link over TCP on the loopback: delay, a limited rate and queue upwards, a slow or stalled way back.
 
-What a sender has not got rid of waits in its own buffers, as before a modem: nothing is lost.
+What a sender cannot send waits in its own buffers, as before a modem: nothing is lost.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ WIDE: Final = 1e9
 
 
 class TcpLink:
-    """Carries connections to a port of this machine, from where a ``with`` begins.
+    """Carries connections to a port of this machine.
 
     Attributes:
         port, endpoint: where to connect instead.
-        up_bytes: so many have been carried from those who connect, and ``down_bytes`` to them.
+        up_bytes, down_bytes: carried from those who connect, and to them.
         is_stalled: nothing more is read of what comes back.
     """
 
@@ -50,13 +50,7 @@ class TcpLink:
         down_bytes_per_s: float = WIDE,
         queue_packets: int = 12,
     ) -> None:
-        """Carry nothing yet.
-
-        Args:
-            target: an address with a port of this machine in it.
-            delay_s: draws the delay of a packet, either way; none overtakes another.
-            queue_packets: the places in the modem's queue, each for a packet of up to ``CHUNK_BYTES``.
-        """
+        """Carry to the port in ``target``; ``delay_s`` draws each packet's delay, and none overtakes another."""
         self.up_bytes = self.down_bytes = 0
         self.is_stalled = False
         self._target = re.findall(r":(\d+)", target)[0]
@@ -86,7 +80,7 @@ class TcpLink:
         self.close()
 
     def close(self) -> None:
-        """Break all connections, and take no more."""
+        """Break all connections, and accept no more."""
         if not self._serving.done():
             self._loop.call_soon_threadsafe(self._ended.set)
         self._serving.result(10)

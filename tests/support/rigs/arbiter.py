@@ -1,8 +1,8 @@
 """An arbiter with a chassis that follows at once; no frames, no bus.
 
 A row begins with "ready", "engaged" or "driving SPEED [TICKS]", and settings of the command flow as "name:value".
-Then "see NAME:VALUE ...": what the chassis shows from there on; "tick N"; "drive SPEED [TICKS]"; a verb, with
-"by NAME" if somebody else asks, and fields. A challenge that is a number was published so many ticks ago.
+Then "see NAME:VALUE ...": what the chassis shows from there on; "tick N"; "drive SPEED [TICKS]"; a verb, with "by
+NAME" for another operator, and fields. A challenge that is a number was published so many ticks ago.
 """
 
 from collections.abc import Callable
@@ -48,7 +48,6 @@ STANDING = ChassisState(
 
 
 def challenge_of(tick: int) -> bytes:
-    """The challenge that is published in a tick."""
     return tick.to_bytes(CHALLENGE_BYTES)
 
 
@@ -57,9 +56,9 @@ class ArbiterRig(Acted):
 
     Attributes:
         changes: fields that differ from those of a chassis that follows at once.
-        credentials: what is proven of who asks; None in open mode.
-        told, shown_lamps, answers: the output and the indicators of each tick, and the replies, since "mark".
-        before: what a refused request leaves as it is, before the last one.
+        credentials: proven credentials of each request; None in open mode.
+        told, shown_lamps, answers: output and indicators of each tick, and the replies, since "mark".
+        before: what the last request leaves unchanged if it is refused.
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class ArbiterRig(Acted):
 
     @property
     def chassis(self) -> ChassisState:
-        """A chassis that obeys what it was told in the last tick."""
+        """A chassis that follows the last tick's command."""
         told = self.arbiter.output.actuation
         chassis = msgspec.structs.replace(STANDING, total_mileage_km=1 + int(self._way_m) / 1000)
         if told is not None and told.enabled:
@@ -135,19 +134,18 @@ class ArbiterRig(Acted):
         return self.outcome
 
     def state(self) -> object:
-        """What a refused request leaves as it is."""
+        """What a refused request leaves unchanged."""
         arbiter = self.arbiter
         held = arbiter.leases.held
         return arbiter.state, arbiter.setpoint.target, dict(arbiter.latches.details), held and held.id
 
     def challenge(self, ticks_ago: int = 0) -> bytes:
-        """The challenge that was published so many ticks ago."""
         return challenge_of(self.arbiter.tick_number - ticks_ago)
 
     def send(
         self, verb: str, payload: bytes, operator: str = "first", *, handle: int = 1, size: int | None = None
     ) -> Ruling:
-        """A request by its bytes; its ruling."""
+        """A request by its bytes. Returns its ruling."""
         length = len(payload) if size is None else size
         raw = RawRequest(handle, verb, operator, payload, length, credentials=self.credentials)
         self.before = self.state()
@@ -155,7 +153,7 @@ class ArbiterRig(Acted):
         return self.ruling
 
     def fields(self, verb: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """Those of a request: the rig's own lease and the newest challenge, unless it names others."""
+        """Add the rig's lease and the newest challenge, unless the request names others."""
         if isinstance(ticks_ago := fields.get("challenge"), int):
             fields = fields | {"challenge": self.challenge(ticks_ago)}
         if verb not in {"acquire", "take", "stop"}:
@@ -163,14 +161,14 @@ class ArbiterRig(Acted):
         return {"challenge": self.challenge()} | fields if verb == "engage" else fields
 
     def ask(self, verb: str, operator: str = "first", **fields: Any) -> Ruling:  # noqa: ANN401 - any field
-        """A query; a lease that it gives is the rig's from there on."""
+        """A query; a lease that it grants is the rig's from there on."""
         ruling = self.send(verb, msgspec.msgpack.encode(self.fields(verb, fields)), operator)
         if verb in {"acquire", "take"} and ruling.lease is not None:
             self.lease, self.sequence = ruling.lease, 0
         return ruling
 
     def drive(self, speed_mps: float = 0.0, **fields: Any) -> Ruling:  # noqa: ANN401 - any field
-        """A drive command that echoes the newest challenge."""
+        """A drive command with the newest challenge."""
         self.sequence += 1
         own = {"seq": self.sequence, "challenge": 0, "speed_mps": speed_mps, "angle_deg": 0.0}
         return self.send("drive", msgspec.msgpack.encode(self.fields("drive", own | fields)), handle=0)
@@ -344,7 +342,6 @@ class ArbiterRig(Acted):
 
 
 def begun(begin: str) -> ArbiterRig:
-    """The rig that a row begins with."""
     how, *words = begin.split()
     settings = {"speed_limit_mps": SPEED_TOP_MPS} | fields_of(tuple(words))
     unguarded = settings.pop("unguarded", False)
@@ -362,7 +359,6 @@ def begun(begin: str) -> ArbiterRig:
 
 
 def play(row: str) -> None:
-    """Act a row out."""
     begin, _, steps = row.partition(";")
     rig = begun(begin)
     rig.mark()

@@ -16,14 +16,13 @@ ENABLES = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd
 
 
 def fault_line(text: str) -> FaultLine:
-    """A fault, as it is typed."""
     line = parse(text)
     assert isinstance(line, FaultLine), line
     return line
 
 
 class ChassisRig:
-    """Holds the time, and the latest feedback of each name."""
+    """Time, and the latest feedback of each name."""
 
     def __init__(
         self,
@@ -64,7 +63,7 @@ class ChassisRig:
         return frames
 
     def named(self, name: str, frames: list[Frame]) -> list[Frame]:
-        """Those of the frames that have this name's identifier."""
+        """The frames with this name's identifier."""
         can_id = load(Variant.COARSE).messages[name].can_id
         return [frame for frame in frames if frame.can_id == can_id]
 

@@ -44,7 +44,7 @@ FAULTS = (
 
 
 class Day:
-    """Forty seconds in which everything happens: two operators at work, and what fails around them."""
+    """Forty seconds with two operators at work, and all that fails around them."""
 
     def __init__(self, seed: int, variant: Variant, ticks: int = DAY_TICKS) -> None:
         self._ends_ns = STARTED_NS + ticks * 10_000_000
@@ -53,7 +53,7 @@ class Day:
         self._operators = [Operator(self.rig, "first"), Operator(self.rig, "berta")]
 
     def live(self) -> None:
-        """All of it; its last seconds are quiet, and the gateway ends in them."""
+        """Act it out; its last seconds are quiet, and the gateway ends in them."""
         actions: list[Callable[[], None]] = [
             *[self._drive] * 14,
             self._stop,
@@ -78,7 +78,7 @@ class Day:
         self.rig.run(1)
 
     def _drive(self) -> None:
-        """Whatever it takes to be engaged, and then a random drive."""
+        """Get engaged, whatever it takes, then drive at random."""
         operator = self._random.choice(self._operators[:1] * 3 + self._operators)
         if self.rig.core.lease_holder != operator.name:
             operator.take_lease("take", override=True)
@@ -150,7 +150,7 @@ class Day:
 
 
 class RestfulDay(Day):
-    """Somebody drives, or something happens, and then nobody does anything for a while; again and again."""
+    """A drive or an incident, then a pause; again and again."""
 
     rounds = 5
 
@@ -178,7 +178,7 @@ class RestfulDay(Day):
 
 @cache
 def restful_day(seed: int, rounds: int = 5) -> RestfulDay:
-    """Such a day, with a place of rest wherever there is one."""
+    """Such a day, with a checkpoint at each rest."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(core, "REST_PERIOD_NS", 100_000_000)
         day = RestfulDay(seed, Variant.COARSE, ticks=0)
@@ -188,7 +188,7 @@ def restful_day(seed: int, rounds: int = 5) -> RestfulDay:
 
 
 def under_rules_1(journal: Journal) -> Journal:
-    """The journal as it was before the rules had a number: ticks without a challenge, requests without a fault."""
+    """The journal as of rules 1: ticks without a challenge, requests without a fault."""
     kept = {Kind.TICK: 4, Kind.REQUEST: 7}
     inputs = [one[: kept.get(one[0])] for one in inputs_of(journal)]
     return msgspec.structs.replace(journal, rules=0, inputs=msgspec.msgpack.encode(inputs))

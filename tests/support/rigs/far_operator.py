@@ -1,6 +1,6 @@
 """An operator behind a bad link, with the library's own drive stream, in simulated time.
 
-It does what ``Lease`` does on its thread, and a program that wants to drive whenever it may.
+It does what ``Lease`` does on its thread, for a program that drives whenever it may.
 """
 
 from collections import deque
@@ -25,11 +25,11 @@ VERBS: dict[type[Request], str] = {Acquire: "acquire", Engage: "engage", Renew: 
 
 
 class Trip(msgspec.Struct, frozen=True):
-    """How a drive over a link went.
+    """A drive over a link.
 
     Attributes:
-        moving: the share of the time in which the robot went as fast as the travel delay allowed.
-        after_cut_m: how far it went after the link was cut.
+        moving: share of the time at the speed that the travel delay allowed.
+        after_cut_m: metres driven after the link was cut.
     """
 
     moving: float
@@ -40,11 +40,7 @@ class Trip(msgspec.Struct, frozen=True):
 
 
 class FarOperator:
-    """Wants to drive at a speed, and does what it takes, again and again.
-
-    Attributes:
-        endings: why the robot ceased to obey, in order.
-    """
+    """Drives at a speed, and engages again after each stop."""
 
     def __init__(self, rig: GatewayRig, link: LossyLink, speed_mps: float, deadman_s: float | None = None) -> None:
         self.endings: list[DriveEnd] = []
@@ -61,7 +57,7 @@ class FarOperator:
         self._published = 0
 
     def run(self, seconds: float) -> None:
-        """Time passes at the robot and here."""
+        """Let time pass at the robot and here."""
         for _ in range(round(seconds * 100)):
             self._rig.tick()
             self._exchange(self._rig.now_ns)
@@ -70,7 +66,7 @@ class FarOperator:
                 self._act(self._rig.now_ns)
 
     def _exchange(self, now_ns: int) -> None:
-        """At the robot: what has come, and what is to be sent."""
+        """The robot's side: receive and send."""
         rig = self._rig
         for verb, kind, payload in self._link.receive_up(now_ns):
             if kind is None:
@@ -85,7 +81,7 @@ class FarOperator:
             self._link.send_down(rig.says, now_ns)
 
     def _act(self, now_ns: int) -> None:
-        """At the operator's: what has come, and what is to be sent."""
+        """The operator's side: receive and send."""
         for message in self._link.receive_down(now_ns):
             if isinstance(message, SafetyState):
                 self._state = message
@@ -145,7 +141,7 @@ class FarOperator:
 
 
 def trip(profile: LinkProfile, speed_mps: float, seconds: float, seed: int = 1) -> Trip:
-    """Drive over a link for a time, and then cut it."""
+    """Drive over a link for a time, then cut it."""
     rig, link = GatewayRig(), LossyLink(profile, seed)
     operator = FarOperator(rig, link, speed_mps, profile.deadman_s)
     operator.run(10)

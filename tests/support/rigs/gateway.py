@@ -1,7 +1,6 @@
-"""The whole gateway with a simulated chassis, in simulated time: requests in, the chassis's motion out.
+"""The whole gateway with a simulated chassis in simulated time: requests in, the chassis's motion out.
 
-The rig is a witness too. Each tick it reads the frames that went out, with the DBC's own decoder, and holds what
-must always be true, whatever a test does.
+The rig is a witness too: each tick it decodes the frames that went out, and asserts what must always hold.
 """
 
 from collections.abc import Callable
@@ -49,7 +48,6 @@ DRIVE_CAN_ID = load(Variant.COARSE).messages["Auto_DriveCmd"].can_id
 
 
 def challenge_of(run: int, now_ns: int) -> bytes:
-    """A challenge that no other run and no other time has."""
     return blake2b(b"%d %d" % (run, now_ns), digest_size=CHALLENGE_BYTES).digest()
 
 
@@ -57,17 +55,16 @@ class GatewayRig:
     """A gateway's core, a chassis, and time.
 
     Attributes:
-        links: what the loop sees of the bus and of the guard.
         takes: how many frames of a tick the bus takes; None for all.
-        corrupt: what becomes of a feedback frame on its way; None is lost.
+        corrupt: changes a feedback frame on its way; None loses it.
         samples: all that was published in the last tick.
-        published: the challenges that were published, the newest last.
-        bursts: all motion frames that went out, read by the DBC: the time, and the signals by frame.
-        heard: the raw speeds of all drive frames that reached the chassis.
-        recorded: all that was published, each with the time of a recorder's clock, which nobody sets.
+        published: the challenges, newest last.
+        bursts: all motion frames sent: time, and decoded signals by frame.
+        heard: raw speeds of all drive frames that reached the chassis.
+        recorded: all that was published, with the time of a recorder's clock, which is never set.
         offered: the frames of each tick, before the bus took them.
         recorder_ns: the recorder's time when the rig's is 0.
-        lived: of each tick the time, the robot's place and speed, and whether its parking brake is applied.
+        lived: of each tick time, place, speed, and whether the parking brake is applied.
         gate_refuses: a test makes the gate refuse, so that is no fault.
     """
 
@@ -126,12 +123,11 @@ class GatewayRig:
 
     @property
     def at_ns(self) -> int:
-        """The time now of the recorder's clock."""
         return self.recorder_ns + self.now_ns
 
     @property
     def speed_mps(self) -> float:
-        """How fast the robot really is, signed."""
+        """The robot's true speed, signed."""
         return self.chassis.state.speed_mps
 
     @property
@@ -141,12 +137,11 @@ class GatewayRig:
 
     @property
     def told_mps(self) -> float:
-        """The speed that the chassis was told in the last tick, a magnitude."""
+        """The speed commanded in the last tick, a magnitude."""
         return float(self.told["Auto_DriveCmd"]["TargetVelocity"]) if self.told else 0.0
 
     @property
     def journals(self) -> list[Journal]:
-        """The journal of all that the core was given."""
         payloads = [sample.payload for _, sample in self.recorded if sample.subject == "journal"]
         return [msgspec.msgpack.decode(payload, type=Journal) for payload in payloads]
 
@@ -159,7 +154,7 @@ class GatewayRig:
         self._requests.append(RawRequest(0, verb, operator, payload, len(payload)))
 
     def query(self, operator: str, verb: str, payload: bytes) -> int:
-        """A query; its reply will be under the number that is returned."""
+        """A query. Returns the number of its reply."""
         self._handles += 1
         self._requests.append(RawRequest(self._handles, verb, operator, payload, len(payload)))
         return self._handles
@@ -174,7 +169,7 @@ class GatewayRig:
         self.tick(round(seconds * 100))
 
     def until(self, holds: Callable[[], bool], seconds: float = 5.0) -> None:
-        """Time passes until this holds."""
+        """Let time pass until this holds."""
         for _ in range(round(seconds * 100)):
             if holds():
                 return
@@ -332,7 +327,7 @@ class GatewayRig:
 
 
 class Operator:
-    """Somebody with a lease."""
+    """An operator with a lease."""
 
     def __init__(self, rig: GatewayRig, name: str = "first") -> None:
         self.rig = rig
@@ -348,17 +343,17 @@ class Operator:
         return self.rig.query(self.name, verb, msgspec.msgpack.encode(fields))
 
     def reason(self, verb: str, **fields: object) -> Reason:
-        """Ask, and let a tick pass; the reply's reason."""
+        """Ask and let a tick pass. Returns the reply's reason."""
         handle = self.ask(verb, **fields)
         self.rig.tick()
         return self.rig.replies[handle].reason
 
     def reset(self) -> Reason:
-        """Reset whatever is latched, whoever has stopped it."""
+        """Reset all latches, whoever stopped the robot."""
         return self.reason("reset", of=next((name for name in self.rig.says.stopped_by if name != self.name), ""))
 
     def take_lease(self, verb: str = "acquire", **fields: object) -> Reason:
-        """Acquire or take; remembers the number."""
+        """Acquire or take, and store the lease's number."""
         handle = self.ask(verb, **fields)
         self.rig.tick()
         reply = self.rig.replies[handle]
@@ -368,7 +363,7 @@ class Operator:
         return reply.reason
 
     def drive_payload(self, speed_mps: float, angle_deg: float = 0.0, **fields: object) -> bytes:
-        """A drive command that echoes the newest challenge."""
+        """A drive command with the newest challenge."""
         self.sequence += 1
         made: dict[str, object] = {
             "lease": self.lease,
@@ -400,7 +395,7 @@ Rig = TypeVar("Rig", bound=GatewayRig)
 
 
 def copied(rig: Rig, operator: Operator) -> tuple[Rig, Operator]:
-    """Both as they are now, to go on with. What was said so far is shared, as are the layouts."""
+    """Copies of both, to go on with; lists so far and layouts are shared."""
     said = [*vars(rig).values(), *vars(rig.core._journal).values()]
     shared: dict[int, object] = {id(one): one.copy() for one in said if isinstance(one, list)}
     shared |= {id(load(variant)): load(variant) for variant in (Variant.COARSE, Variant.FINE)}
@@ -424,7 +419,7 @@ def _ready(
 def ready(
     variant: Variant = Variant.COARSE, command: CommandSettings | None = None, *, accept_unguarded: bool = False
 ) -> tuple[GatewayRig, Operator]:
-    """A robot that stands and that anybody may engage."""
+    """A robot that stands and can be engaged."""
     return copied(*_ready(variant, command, accept_unguarded=accept_unguarded))
 
 
@@ -440,5 +435,5 @@ def _driving(speed_mps: float, angle_deg: float, variant: Variant) -> tuple[Gate
 def driving(
     speed_mps: float = 1.0, angle_deg: float = 0.0, variant: Variant = Variant.COARSE
 ) -> tuple[GatewayRig, Operator]:
-    """A robot that is being driven at this speed."""
+    """A robot that is driven at this speed."""
     return copied(*_driving(speed_mps, angle_deg, variant))

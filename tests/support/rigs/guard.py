@@ -28,15 +28,15 @@ BURST = 8
 
 
 class GuardRig:
-    """Lets time pass in polls of 5 ms; the loop ticks in every second one, as long as it lives.
+    """Time passes in polls of 5 ms; the loop ticks in every second one, as long as it lives.
 
     Attributes:
         takes: how many frames of a burst the bus takes.
-        told: what the loop tells the chassis; None for silence.
-        left: what the loop says that it had told when it fell silent, if the chassis may obey that again.
-        see: what the guard sees instead of a feedback frame.
-        mark: how many frames the guard and the loop had sent at the last mark.
-        fastest_mps: the fastest that the robot was since then.
+        told: the loop's command; None for silence.
+        left: the loop's last command before its silence, if the chassis may follow it again.
+        see: changes a feedback frame for the guard.
+        mark: number of frames of guard and loop at the last mark.
+        fastest_mps: the robot's highest speed since then.
     """
 
     def __init__(self, variant: Variant = Variant.COARSE, settings: CommandSettings | None = None) -> None:
@@ -64,11 +64,10 @@ class GuardRig:
         self._last = DRIVING
 
     def fault(self, text: str) -> None:
-        """Cause a fault of the chassis now."""
         self.chassis.inject(fault_line(text), self.now_ns)
 
     def drive(self, told: Actuation = DRIVING, seconds: float = 1.5) -> None:
-        """The gateway drives until the robot rolls."""
+        """Let the gateway drive until the robot rolls."""
         self.told = Actuation(enabled=True)
         self.run(0.2)
         assert self.chassis.state.mode is Mode.AUTO
@@ -104,7 +103,7 @@ class GuardRig:
             self.fastest_mps = max(self.fastest_mps, abs(self.chassis.state.speed_mps))
 
     def look_when_due(self, seconds: float) -> None:
-        """Let time pass in steps of 1 ms, with the guard looking when it wants to; the loop does not live."""
+        """Let time pass in steps of 1 ms without a loop; the guard looks when it is due."""
         due_ns = self.now_ns + 3 * MS
         for _ in range(round(seconds * S / MS)):
             self.now_ns += MS
@@ -114,13 +113,13 @@ class GuardRig:
                 due_ns = self.guardian.next_look_ns(self.now_ns)
 
     def close(self) -> None:
-        """The gateway says that it ends, and does; its process is still there."""
+        """The gateway announces its end, and falls silent; its process is still there."""
         assert self.beat is not None
         self.loop_lives = False
         self.beat = msgspec.structs.replace(self.beat, is_closing=True)
 
     def poll(self) -> list[Frame]:
-        """One look of the guard; returns what it sends."""
+        """One look of the guard. Returns what it sends."""
         before = len(self.sent)
         self.run(GUARD_POLL_NS / S)
         return [frame for _, frame in self.sent[before:]]
@@ -130,7 +129,6 @@ class GuardRig:
             self.guardian.receive(self.see(frame), self.now_ns)
 
     def loop(self) -> None:
-        """One tick of the gateway's loop."""
         is_told = self.told is not None
         if self.told is not None and not self.mute and not self.guardian.is_sending:
             frames = self.maker.make(self.told, [], self.variant)

@@ -1,4 +1,4 @@
-"""Logs of a whole gateway with a simulated chassis: what happens in the rig is recorded as a recorder would."""
+"""Logs of a whole gateway with a simulated chassis, recorded as a recorder would."""
 
 from collections.abc import Callable, Sequence
 from functools import cache, reduce
@@ -28,11 +28,9 @@ RECEIVED_NS = 2 * MS
 
 
 class RecordedRig(GatewayRig):
-    """A gateway's rig with a recorder beside it."""
-
     @classmethod
     def beginning(cls, at_ns: int, run: int) -> "RecordedRig":
-        """A robot whose gateway begins at this time of the recorder's."""
+        """A robot whose gateway begins at this time of the recorder's clock."""
         rig = cls(run=run)
         later_ns = at_ns - rig.at_ns
         rig.wall_ns += later_ns
@@ -54,25 +52,21 @@ class RecordedRig(GatewayRig):
         return copied(*_driving(speed_mps, command, run))
 
     def replaced(self, seconds: float) -> "RecordedRig":
-        """Another run of the gateway, which begins so long after this one was last heard."""
+        """Another run of the gateway, which begins so long after this one's last sample."""
         return RecordedRig.beginning(self.at_ns + round(seconds * SECOND), self._run + 1)
 
     def rest(self) -> None:
-        """Time passes until the robot is told nothing any more."""
+        """Let time pass until no commands are sent."""
         self.until(lambda: self.says.state is ArbiterState.STANDBY, 9)
         self.run(0.2)
 
     def rest_after(self, seconds: float) -> None:
-        """Nobody says anything for a time; then as in ``rest``."""
+        """Let time pass without commands, then rest."""
         self.run(seconds)
         self.rest()
 
     def hang(self, seconds: float) -> list[Frame]:
-        """The gateway's loop stands still; from 80 ms on its guard stops the robot. Then all is read at once.
-
-        Returns:
-            the frames of the guard.
-        """
+        """Hang; after 80 ms the guard stops the robot; then all is read at once. Returns the guard's frames."""
         unread: list[Frame] = []
         sent: list[Frame] = []
         for tick in range(round(seconds * 100)):
@@ -97,10 +91,7 @@ class RecordedRig(GatewayRig):
         return sent
 
     def followed(self, seconds: float) -> "RecordedRig":
-        """Another run of the gateway, so long after this one was killed together with its guard.
-
-        Until then the chassis obeys its last command.
-        """
+        """Another run after this one and its guard died; the chassis follows its last command meanwhile."""
         rig = RecordedRig(run=self._run + 1, now_ns=self.now_ns + round(seconds * SECOND))
         rig.recorder_ns, rig.wall_ns = self.recorder_ns, self.wall_ns + round(seconds * SECOND)
         rig.chassis = self.chassis
@@ -120,12 +111,7 @@ class RecordedRig(GatewayRig):
         lag_ns: int = RECEIVED_NS,
         journal: Callable[[Journal], Journal] = lambda one: one,
     ) -> bytes:
-        """The log of all that was said, as a recorder writes it.
-
-        Args:
-            lag_ns: a sample is received so much later than it was published.
-            journal: what becomes of each message of the journal before it is recorded.
-        """
+        """The log, received ``lag_ns`` after publication; ``journal`` changes each journal message first."""
         log = Log()
         began_ns = self.recorded[0][0] if self.recorded else 0
         keys_of = {name: self._key(robot, name) for name in {sample.subject for _, sample in self.recorded}}
@@ -167,7 +153,7 @@ def ask(path: Path, data: bytes, at_ns: int | None = None, robot: str = ROBOT) -
 
 
 def ask_of(paths: Sequence[Path], at_ns: int | None = None, robot: str = ROBOT) -> Explanation:
-    """Why, of the logs there."""
+    """Why, of these logs."""
     faults = Faults()
     logs = find_logs(paths, faults)
     explanation = explain(robot, logs, survey(logs, faults), at_ns, faults)

@@ -39,8 +39,6 @@ OWN = keys.of_recorder(ROOT, "bench")
 
 
 class RecorderRig:
-    """A recording, the writer that carries it out, and a clock."""
-
     def __init__(self, plan: RecorderPlan = PLAN) -> None:
         self.recorder = Recorder(plan)
         self.writer = MemoryWriter()
@@ -93,12 +91,12 @@ class RecorderRig:
         return [one for one in self.writer.said if isinstance(one, RecordGap)]
 
     def logs(self) -> dict[str, list[MemoryFile]]:
-        """The files of each log, without the incidents."""
+        """The files of each log, without incidents."""
         return {log: files for log, files in self.writer.files.items() if not log.endswith(INCIDENT_MARK)}
 
 
 def messages(file: MemoryFile) -> list[tuple[str, int]]:
-    """Topic and log time of each message of a file, as a public reader finds them."""
+    """Topic and log time of each message of a file, as the mcap package reads them."""
     reader = make_reader(BytesIO(file.disk.getvalue()), validate_crcs=True)
     return [(channel.topic, one.log_time) for _, channel, one in reader.iter_messages(log_time_order=False)]
 
@@ -109,6 +107,6 @@ def times(file: MemoryFile, topic: str = GEAR_KEY) -> list[int]:
 
 
 def metadata(file: MemoryFile, name: str) -> list[dict[str, str]]:
-    """The metadata records of a name, in their order."""
+    """The metadata records of a name, in order."""
     reader = make_reader(BytesIO(file.disk.getvalue()), validate_crcs=True)
     return [one.metadata for one in reader.iter_metadata() if one.name == name]

@@ -44,7 +44,7 @@ GONE: Final = "the gateway died, or the link to it: its token is gone, and it wa
 
 
 class Scenario(msgspec.Struct, frozen=True):
-    """What can stop a robot, as a script with a name."""
+    """Something that stops a robot, as a script with a name."""
 
     name: str
     script: str
@@ -139,11 +139,7 @@ one_silent_frame, found_moving = BY_NAME["one_silent_frame"], BY_NAME["found_mov
 
 
 class Script:
-    """Acts out a script.
-
-    Attributes:
-        zero_ns: the time from which moments count.
-    """
+    """Acts out a script; moments count from ``zero_ns``."""
 
     def __init__(self, words: str) -> None:
         self._logs: list[bytes] = []
@@ -168,12 +164,10 @@ class Script:
 
     @property
     def rig(self) -> RecordedRig:
-        """The rig of the last gateway."""
         return self._rig
 
     @property
     def logs(self) -> list[bytes]:
-        """The logs, one for each gateway."""
         return [*self._logs, self._log()]
 
     def _begin(self, rig: RecordedRig, operator: Operator | None = None) -> None:
@@ -183,7 +177,6 @@ class Script:
         self._is_named = True
 
     def _log(self) -> bytes:
-        """The log of the gateway so far."""
         return self._rig.log(with_info=self._is_named, without=self._without, recorder_says=self._told)
 
     def _step(self, verb: str, rest: str = "") -> None:  # noqa: C901, PLR0912, PLR0915 - a verb a line
@@ -327,12 +320,12 @@ def acted(scenario: Scenario) -> RecordedRig:
 
 @cache
 def recorded(scenario: Scenario, *without: str) -> bytes:
-    """Its log, made once for all tests, but for some subjects."""
+    """Its log, made once for all tests, without some subjects."""
     return acted(scenario).log(without=without)
 
 
 def stepped_clock(*, steps_recorder: bool) -> RecordedRig:
-    """In mid-drive the robot's wall clock is set an hour forward, and the recorder's, if it is the same."""
+    """In mid-drive the robot's wall clock jumps an hour ahead, and the recorder's, if it is the same."""
     clock = f"clock 3600{'' if steps_recorder else ' robot'}"
     return Script(f"driving; drive 0.6 2; {clock}; drive 0.6 2").rig
 

@@ -1,8 +1,8 @@
-"""Scenes of a robot: what is asked of it, what fails, and how the gateway rules, a step after the other.
+"""Scenes of a robot: requests, faults and rulings, a step after the other.
 
-The first step of a scene is how it begins: "driving 1", "ready", with settings as "name:value"; "hill DEGREES",
-with conditions of the body; "new", which has seen nothing yet. A step in no table is a fault of the chassis.
-What has gone out since "mark" is counted from there.
+The first step is how it begins: "driving 1", "ready", with settings as "name:value"; "hill DEGREES", with
+conditions of the body; "new", which has seen nothing yet. A step in no table is a fault of the chassis. What has
+gone out since "mark" is counted from there.
 """
 
 from typing import Any, Final
@@ -34,7 +34,6 @@ LAMPS: Final = {"Headlamp": "head", "LeftIndicator": "left", "RightIndicator": "
 
 
 def flipped(data: bytes, *bits: int) -> bytes:
-    """The bytes with these bits the other way."""
     word = int.from_bytes(data, "little")
     for bit in bits:
         word ^= 1 << bit
@@ -42,7 +41,7 @@ def flipped(data: bytes, *bits: int) -> bytes:
 
 
 def spoilt(frame: Frame, how: str, *of: str) -> Frame | None:
-    """What becomes of a frame on its way."""
+    """The frame after a fault on its way."""
     match how:
         case "zeros":
             return Frame(frame.can_id, bytes(8))
@@ -60,8 +59,6 @@ def spoilt(frame: Frame, how: str, *of: str) -> Frame | None:
 
 
 class Scene(Acted):
-    """A robot and its operator."""
-
     def __init__(self, begin: str, variant: Variant = Variant.COARSE) -> None:
         how, *words = begin.split()
         fields = fields_of(tuple(words))
@@ -107,13 +104,13 @@ class Scene(Acted):
         self.rig.links = msgspec.structs.replace(GUARDED, **made)
 
     def bus(self, state: str) -> None:
-        """Lost with all that is on it, there again, or there again and silent."""
+        """Lost, there again, or there again and silent."""
         self.links(f"bus_up:{int(state != 'lost')}", "bus_losses:1")
         self.rig.chassis_hears = state != "lost"
         self.rig.corrupt = lambda frame: frame if state == "again" else None
 
     def spoil(self, name: str, how: str, *of: str) -> None:
-        """Each frame of this name; "once" and its name: the next one alone; "last": that one, and then none."""
+        """Each frame of this name; "once" and its name: only the next; "last": only that one, then none."""
         if name not in {"once", "last"}:
             self.rig.corrupt = lambda frame: spoilt(frame, how, *of) if name in {"all", *_named(frame)} else frame
             return
@@ -147,26 +144,26 @@ class Scene(Acted):
         self.rig.late_ns = 0
 
     def driven(self, speed_mps: str, *claim: str) -> None:
-        """A stream, until this holds."""
+        """Drive until this holds."""
         self.operator.drive(float(speed_mps))
         while not self.holds(*claim):
             self.operator.drive(float(speed_mps))
 
     def older(self, back: str) -> None:
-        """A stream for a second that echoes challenges of so many before."""
+        """Drive for a second with challenges from so many samples before."""
         for _ in range(50):
             echoed = self.rig.published[-int(back)]
             self.rig.put("first", "drive", self.operator.drive_payload(2.0, challenge=echoed))
             self.rig.tick(2)
 
     def follows(self, speed_mps: str) -> None:
-        """A stream for four seconds: the speed is never told further above the seen one than 0.5 m/s."""
+        """Drive for four seconds: the command is never more than 0.5 m/s above the true speed."""
         for _ in range(200):
             self.operator.drive(float(speed_mps))
             assert self.rig.told_mps <= max(0.5, self.rig.speed_mps + 0.5 + 0.04)
 
     def reply(self, verb: str, *words: str) -> None:
-        """A verb gets one of these replies."""
+        """The verb's reply has one of these reasons."""
         fields, reasons = fields_of(words), [word for word in words if ":" not in word]
         if verb in {"acquire", "take"}:
             reason = self.operator.take_lease(verb, **fields)
@@ -180,7 +177,7 @@ class Scene(Acted):
         assert " ".join(words) in self.said.replace(";", "|"), self.said
 
     def text(self, kind: str, *words: str) -> None:
-        """An event of this kind says so."""
+        """An event of this kind has this text."""
         texts = [event.text.replace(";", "|") for event in self.rig.events if event.kind is EventKind(kind)]
         assert any(" ".join(words) in text for text in texts), texts
 
@@ -193,7 +190,7 @@ class Scene(Acted):
         self.mark()
 
     def restart(self) -> None:
-        """The gateway is started again, as the command does it: another core begins with the note of latches."""
+        """Restart the gateway as the command does: another core begins with the note of latches."""
         rig = self.rig
         rig.core.shut_down(rig.now_ns)
         rig.tick()
@@ -207,7 +204,7 @@ class Scene(Acted):
         rig.run(1)
 
     def refuse(self, count: str) -> None:
-        """The gate refuses so many of the next bursts, whatever they are."""
+        """The gate refuses so many of the next bursts."""
         self.rig.gate_refuses = True
         gate = self.rig.core.command.gate  # type: ignore[union-attr]
         admit = type(gate).admit
@@ -215,18 +212,17 @@ class Scene(Acted):
         gate.admit = lambda *burst, **how: left.pop() if left else admit(gate, *burst, **how)  # type: ignore[method-assign]
 
     def slip(self) -> None:
-        """A counter does not go on."""
         self.rig.gate_refuses = True
         counters = self.rig.core.command.maker.counters  # type: ignore[union-attr]
         counters["Auto_DriveCmd"] = (counters["Auto_DriveCmd"] + 15) % 16
 
     def doubt(self) -> None:
-        """Evidence speaks against the variant in force."""
+        """There is evidence against the variant in force."""
         self.rig.core._detector.contradicted = True
         self.rig.core._apply_variant()
 
     def echo(self) -> None:
-        """Frames of the guard's are read."""
+        """Frames of the guard are received."""
         for frame in FrameMaker().make(Actuation(enabled=True), [], Variant.COARSE):
             self.rig.core.receive_frame(frame, self.rig.now_ns)
 
@@ -314,7 +310,7 @@ class Scene(Acted):
         return most_m
 
     def _is_in_order(self) -> bool:
-        """Zero speed in gear, parking brake, neutral, disabled: in this order, and nothing is ever taken back."""
+        """Zero speed in gear, parking brake, neutral, disabled: in this order, and never back."""
         reached, done = 0, 0
         for _, burst in self.rig.bursts[self.burst :]:
             marks = (
@@ -330,7 +326,7 @@ class Scene(Acted):
         return done == 4
 
     def _is_held(self) -> bool:
-        """The brake is told when it stands, and the gear stays in until a second after the brake reads applied."""
+        """The brake is commanded at standstill; the gear stays until a second after the brake reads applied."""
         if not self.was_engaged:
             return True  # Loaded, it does not climb so steep a slope, and was stopped as it set off.
         lived, told = self.rig.lived[self.tick :], self.rig.bursts[self.burst :]
@@ -351,7 +347,7 @@ class Scene(Acted):
         )
 
     def _has_parted(self) -> bool:
-        """The last bursts are of zero speed, the same gear and the parking brake; before them it had a speed."""
+        """The last bursts have zero speed, the same gear and the parking brake; the one before had a speed."""
         before, *last = [burst for _, burst in self.rig.bursts[-YIELD_BURSTS - 1 :]]
         return bool(before["Auto_DriveCmd"]["TargetVelocity"]) and all(
             not one["Auto_DriveCmd"]["TargetVelocity"]
@@ -436,6 +432,5 @@ def _named(frame: Frame) -> set[str]:
 
 
 def play(scene: str, variant: Variant = Variant.COARSE) -> None:
-    """Act a scene out."""
     begin, _, steps = scene.partition(";")
     Scene(begin.strip(), variant).play(steps)

@@ -1,7 +1,7 @@
 """Rows of tables as text: steps with ";" between them. One that begins with "=" claims things, "," between them.
 
-A step is a word and what belongs to it; "name:value" is a field; "|" is a semicolon in what somebody says. A claim
-with "un" before it has to be false.
+A step is a word and its arguments; "name:value" is a field; "|" stands for a semicolon in a text. A claim with
+"un" before it has to be false.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ _ENUMS = {
 
 
 def value_of(name: str, text: str) -> Any:  # noqa: ANN401 - of any field
-    """A number, a truth, null, a member of an enumeration, or the text; names of frames with "+" between them."""
+    """A number, a truth, null, a member of an enumeration, or text; frame names have "+" between them."""
     if text == "null":
         return None
     if name in _ENUMS:
@@ -40,12 +40,12 @@ def value_of(name: str, text: str) -> Any:  # noqa: ANN401 - of any field
 
 
 def fields_of(words: tuple[str, ...]) -> dict[str, Any]:
-    """Those of the words that are "name:value"."""
+    """The words of the form "name:value"."""
     return {name: value_of(name, text) for name, _, text in (word.partition(":") for word in words) if text}
 
 
 def seen(chassis: ChassisState, words: tuple[str, ...]) -> ChassisState:
-    """What is seen of a chassis, but for these; "all" is each of its speeds."""
+    """The chassis state with these fields changed; "all" is each of its speeds."""
     fields = fields_of(words)
     if "all" in fields:
         speed_mps = fields.pop("all")
@@ -55,7 +55,7 @@ def seen(chassis: ChassisState, words: tuple[str, ...]) -> ChassisState:
 
 
 def near(value: float | None, wanted: str, within: float = 1e-6) -> bool:
-    """The value is so much, or nothing is known."""
+    """The value is about this, or unknown."""
     return value is None if wanted == "none" else value == pytest.approx(float(wanted), abs=within)
 
 
@@ -65,18 +65,18 @@ def rows(table: Mapping[str, str]) -> pytest.MarkDecorator:
 
 
 class Acted:
-    """A rig that rows are acted on."""
+    """A rig on which rows are acted out."""
 
     def steps(self) -> Doing:
-        """Return what is done at each word."""
+        """The action of each word."""
         raise NotImplementedError
 
     def claims(self) -> Doing:
-        """Return what is true now, by name."""
+        """What is true now, by name."""
         raise NotImplementedError
 
     def shown(self) -> object:
-        """Return what tells why a claim is false."""
+        """What explains a false claim."""
         return vars(self)
 
     def other(self, step: str) -> None:
@@ -84,7 +84,6 @@ class Acted:
         raise AssertionError(step)
 
     def play(self, text: str) -> None:
-        """Act it out."""
         for step in map(str.strip, text.split(";")):
             steps, (word, *words) = self.steps(), step.split()
             if word == "=":

@@ -1,4 +1,4 @@
-"""Many scenarios, and a table of what came of them.
+"""Play many scenarios, and print a summary.
 
 Usage: python -m tests.system.scenarios [--count N] [--seed FIRST] [--jobs N] [--run-again-every N]
        python -m tests.system.scenarios --frozen | --freeze [--jobs N]
@@ -28,7 +28,6 @@ TRACE_TICKS = 5
 
 
 def trace(play_: Play) -> None:
-    """Print a line each 50 ms, and each new violation."""
     if round(play_.rig.now_s * 100) % TRACE_TICKS == 0:
         print(play_.oracle.line(play_.rig.now_s))
     for violation in play_.oracle.violations.values():
@@ -37,7 +36,7 @@ def trace(play_: Play) -> None:
 
 
 def play(job: tuple[int, bool]) -> Result:
-    """One scenario; a fault of the gateway's or of ours is a violation like any other."""
+    """Play a scenario; an exception is a violation like any other."""
     seed, runs_again = job
     try:
         return run(seed, runs_again=runs_again)
@@ -48,7 +47,7 @@ def play(job: tuple[int, bool]) -> Result:
 
 
 def play_frozen(jobs: int, *, writes: bool) -> int:
-    """Play all that is frozen, and write the file; or compare, and print what differs. 1 if anything does."""
+    """Play all frozen runs, and write the file, or print the differences; 1 if there are any."""
     with Pool(jobs) as pool:
         rows = list(pool.imap(frozen.row_of, frozen.NAMES, chunksize=8))
     if writes:
@@ -60,7 +59,7 @@ def play_frozen(jobs: int, *, writes: bool) -> int:
 
 
 def main() -> int:
-    """Play them all and print the summary; 1 if a rule was broken."""
+    """Play and print the summary; 1 if a rule was broken."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1, help="scenarios (default 1, told in full)")
     parser.add_argument("--seed", type=int, default=1, help="of the first (default 1)")
@@ -93,7 +92,6 @@ def main() -> int:
 
 
 def summary(results: list[Result], took_s: float) -> None:
-    """Print what came of them."""
     print(
         f"{len(results)} scenarios, {sum(one.simulated_s for one in results) / 60:.0f} min simulated in "
         f"{took_s:.0f} s, {sum(one.driven_m for one in results):.0f} m driven, "

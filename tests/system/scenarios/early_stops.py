@@ -1,6 +1,6 @@
-"""Frames of the early stop, frozen byte for byte, to robots that nobody commands; ``--freeze`` writes them again.
+"""Frozen frames of the early stop, byte for byte; ``--freeze`` writes them again.
 
-A burst that repeats the one before it, but for the counters, is left to the hash at the end of its situation.
+Bursts that only repeat the one before are left to the hash at the end of their situation.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ SITUATIONS: Final[dict[str, dict[str, Any]]] = {
 
 
 def told(name: str) -> str:
-    """Each burst that says something new, as it is on the bus, and a hash of all with their times."""
+    """Each burst with new content, and a hash of all with their times."""
     knobs = dict(SITUATIONS[name])
     plant = Plant(knobs.pop("build", Build()), Random(0))  # noqa: S311 - scenes keep no secrets
     plant.found_driving(*knobs.pop("found", (GEAR_D, 1.0)))
@@ -99,7 +99,7 @@ def told(name: str) -> str:
 
 
 def _step(plant: Plant, early: EarlyStop, now_ns: int, takes: tuple[int, int], number: int) -> list[Command]:
-    """Five milliseconds pass. Returns the burst; of each so many the bus takes but a part."""
+    """Five milliseconds pass. Returns the burst, of which the bus may take a part."""
     for identifier, data in plant.step():
         early.chassis.receive(identifier | EXTENDED, data, now_ns)
     if early.is_needed(now_ns):
@@ -114,5 +114,4 @@ def _step(plant: Plant, early: EarlyStop, now_ns: int, takes: tuple[int, int], n
 
 
 def frozen() -> str:
-    """The file as it would be written now."""
     return "\n".join(map(told, SITUATIONS))

@@ -1,8 +1,7 @@
-"""Scenarios and deaths of the gateway, frozen: short hashes of all that is sent and published in each.
+"""Frozen scenarios and deaths of the gateway: short hashes of all frames and samples of each.
 
-A change that is to change nothing changes none of them. One that changes a rule writes them again, and its commit
-says why: ``python -m tests.system.scenarios --freeze``. ``--lines NAME`` prints all that is hashed of one row: the
-first line that differs between two commits tells when what differs.
+A change of a rule writes them again, and its commit says why: ``python -m tests.system.scenarios --freeze``.
+``--lines NAME`` prints all that is hashed of a row: compare two commits to find the first difference.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ checkpoints: these hold the attributes of the core, which may get other names.
 
 
 class Witness(Oracle):
-    """An oracle that also writes down, in lines, what is on the bus and what is published."""
+    """An oracle that also hashes frames and samples, line by line."""
 
     def __init__(self, *given: Any, **named: Any) -> None:  # noqa: ANN401 - those of the oracle
         super().__init__(*given, **named)
@@ -72,14 +71,13 @@ class Witness(Oracle):
             self.add(name, now_s, f"{identifier:08X} {data.hex()}")
 
     def add(self, name: str, now_s: float, said: str) -> None:
-        """Something was said at this time."""
         line = f"{now_s:.3f} {name} {said}\n"
         self.hashes[name].update(line.encode())
         self.write(line)
 
 
 def _take_samples(played: Play) -> None:
-    """A tick has passed: take the samples that were published in it."""
+    """Take the samples of a tick."""
     witness, gateway = played.oracle, played.gateway
     assert isinstance(witness, Witness)
     samples, gateway.samples = gateway.samples, []
@@ -101,12 +99,11 @@ def _content(sample: Sample) -> str:
 
 
 def plan_of(name: str) -> Scenario:
-    """What is played under a name."""
     return DEATHS[name] if name in DEATHS else scenario(int(name))
 
 
 def hash_of_plan(plan: Scenario) -> str:
-    """Hash what a seed decides; without settings that have the product's default, for others may be added."""
+    """A hash of what a seed decides; settings with the product's default are left out."""
     defaults = CommandSettings()
     fields = {name: getattr(plan, name) for name in plan.__struct_fields__}
     fields["command"] = {
@@ -118,7 +115,7 @@ def hash_of_plan(plan: Scenario) -> str:
 
 
 def play(name: str, write: Callable[[str], object] | None = None) -> tuple[str, Result]:
-    """Play what has this name. Returns its row, and what the oracle says of it."""
+    """Play a run. Returns its row, and the oracle's result."""
     plan = plan_of(name)
     played = Play(plan, keeps=True, watch=_take_samples, judge=Witness)
     witness = played.oracle
@@ -132,24 +129,21 @@ def play(name: str, write: Callable[[str], object] | None = None) -> tuple[str, 
 
 
 def row_of(name: str) -> str:
-    """The row alone."""
     return play(name)[0]
 
 
 def frozen() -> dict[str, str]:
-    """The rows of the file, by name."""
     rows = FILE.read_text(encoding="utf-8").splitlines()[1:]
     return {row.partition(" ")[0]: row for row in rows}
 
 
 def freeze(rows: Iterable[str]) -> None:
-    """Write the files."""
     early_stops.FILE.write_text(early_stops.frozen(), encoding="utf-8")
     FILE.write_text("\n".join([f"name {' '.join(COLUMNS)}", *rows, ""]), encoding="utf-8")
 
 
 def difference(row: str, before: str) -> str:
-    """What differs, and what to do; empty if nothing does."""
+    """The difference and what to do; empty if there is none."""
     name, *now = row.split()
     differing = [word for word, one, other in zip(COLUMNS, now, before.split()[1:], strict=True) if one != other]
     again = f"python -m tests.system.scenarios --lines {name}"

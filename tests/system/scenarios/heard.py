@@ -1,4 +1,4 @@
-"""What of the chassis has arrived at the robot's computer: all that a gateway can know."""
+"""What has arrived from the chassis: all that a gateway can know."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MODE_KNOWN_S: Final = MODE_UNKNOWN_S + LATELY_S
 
 
 class Heard:
-    """The newest whole frames, and since when they say what they say.
+    """The newest whole frames.
 
     Attributes:
         remote_s: since when the remote control has the robot; ``NOT_YET_S`` while it has not.
-        unchanged_s: when drive or wheels last said something else.
+        unchanged_s: when drive or wheels last changed.
     """
 
     def __init__(self, *, fine: bool) -> None:
@@ -33,7 +33,7 @@ class Heard:
         self.unchanged_s = 0.0
 
     def receive(self, frames: list[CanFrame], now_s: float) -> None:
-        """Frames have arrived; damaged ones count for nothing."""
+        """Frames have arrived; damaged ones do not count."""
         for identifier, data in frames:
             if len(data) != 8 or data[7] != checksum(data):
                 continue
@@ -64,20 +64,20 @@ class Heard:
 
     @property
     def reads_auto(self) -> bool:
-        """The mode that arrived last, be it a damaged one whose checksum is right."""
+        """The last mode is auto, also in a damaged frame with a right checksum."""
         body = self._payloads.get(BODY)
         return body is None or body[5] & 3 == AUTO
 
     def greatest_mps(self, now_s: float) -> float:
-        """The greatest speed that was seen lately."""
+        """The greatest recent speed."""
         while self._lately and self._lately[0][0] < now_s - LATELY_S:
             self._lately.popleft()
         return max([self.speed_mps, *(speed_mps for _, speed_mps in self._lately)])
 
     def may_be_unknown(self, now_s: float) -> bool:
-        """No body frame has told the mode for so long that it counts as silent."""
+        """No body frame for so long that the mode counts as unknown."""
         return round(now_s - self._body_s, 6) >= MODE_UNKNOWN_S
 
     def is_ours(self, now_s: float) -> bool:
-        """The mode is known, and it is not that of the remote control."""
+        """The mode is known, and not remote."""
         return now_s - self._body_s < MODE_KNOWN_S and self.remote_s == NOT_YET_S

@@ -1,8 +1,8 @@
-"""What must be true of the robot's motion and of the bytes on the bus, by the table "Command rules" of the design.
+"""The table "Command rules" of the design, as a judge of the robot's motion and the bytes on the bus.
 
-Judged are the plant's true motion and the frames themselves; of what the gateway says only its replies and what it
-latches. A time that a rule gives is counted from the moment at which the cause shows on the bus, with the margin
-of ``SEEING_S``: a 50 ms frame, one of them lost, and a tick.
+Judged are the plant's true motion and the frames; of the gateway's words only replies and latches. A rule's time
+counts from the moment at which the cause shows on the bus, with the margin ``SEEING_S``: a 50 ms frame, one of
+them lost, and a tick.
 """
 
 from __future__ import annotations
@@ -119,15 +119,13 @@ Fields = dict[str, Any]
 
 
 class Violation(msgspec.Struct, frozen=True):
-    """A rule that did not hold: which, when, and with which figures."""
-
     kind: str
     at_s: float
     detail: str
 
 
 class Since:
-    """For how long something has been so."""
+    """How long a condition has held."""
 
     def __init__(self) -> None:
         self._from_s: float | None = None
@@ -143,15 +141,15 @@ class Since:
 
 
 class Trust:
-    """Notices that the rules leave a robot to its parking brake, be it one that does not hold.
+    """Notices that the rules leave a robot to its parking brake, even if that does not hold.
 
-    They do in four cases: it was parked for as long as it is commanded, its stop began in standby, it moved when
-    its brake was asked for, so its motor had not brought it to rest, or it was given back to its motor and was
-    faster 300 ms later. In any other its motor gets it.
+    That is so in four cases: it was parked for as long as it is commanded, its stop began in standby, it moved
+    when its brake was requested, or it was given back to its motor and was faster 300 ms later. Otherwise its
+    motor gets it.
 
     Attributes:
-        is_left: the last burst has the parking request, and one of these is the case.
-        is_lost: it is left to a brake that does not hold it, and the motor is off behind that; until it rests.
+        is_left: the last burst has the parking request, in one of these cases.
+        is_lost: it is left to a brake that does not hold it, and the motor is off; until it rests.
     """
 
     def __init__(self) -> None:
@@ -161,21 +159,21 @@ class Trust:
         self._given_back_s: float | None = None
 
     def begin(self, *, is_kept: bool) -> None:
-        """Out of silence, or engaged anew. A robot that its motor held for a slipping brake is kept by it."""
+        """A command after silence or engagement. A robot that its motor holds for a slipping brake stays so."""
         self._is_stray = self._is_unreleased = not is_kept
         self._before = None
 
     def believe(self) -> None:
-        """A reset gives the robot to its brake again, which may hold it no better than before."""
+        """A reset gives the robot to its brake again, which may hold no better than before."""
         self._is_for_good, self._given_back_s = True, None
 
     @property
     def is_given_back(self) -> bool:
-        """In the stop that is under way the robot was given back to its motor, and to nothing else since."""
+        """In this stop the robot was given back to its motor, and to nothing else since."""
         return self._given_back_s is not None
 
     def tell(self, order: Told, now_s: float, *, is_permitted: bool, is_moving: bool, is_away: bool) -> None:
-        """This is told now. A controller that restarts forgets its brake, and what its motor did."""
+        """A command. A controller that restarts forgets its brake, and what its motor did."""
         if order.parking and (self._before is None or not self._before.parking):
             self._is_caught = is_moving and not self.is_given_back
         self._is_caught |= order.parking and is_away
@@ -193,22 +191,21 @@ class Trust:
         self._before = order
 
     def look(self, plant: Plant) -> None:
-        """So the robot is now."""
+        """The robot's state now."""
         is_off = plant.build.parks_motor or plant.gear not in SIGN
         rolls_on = self.is_lost and plant.speed_mps != 0
         self.is_lost = self.is_left and is_off and (rolls_on or not plant.brake_holds)
 
 
 class Oracle:
-    """Watches a scenario.
+    """Judges a scenario.
 
     Attributes:
         violations: the first of each kind.
-        stops: stop phases that were seen.
-        is_damaged: a damaged frame may be a cause to stop just now.
-        finds_variant: the gateway is not told the scale of the speeds, and forgets it with the bus.
-        worst_release_m, worst_stop_m: roll-back while zero was asked, and after a stop had begun.
-        was_driven_m: metres travelled, so that a suite in which nothing moves is noticed.
+        is_damaged: a damaged frame may be a cause to stop now.
+        finds_variant: the gateway has to find the scale of the speeds, and forgets it with the bus.
+        worst_release_m, worst_stop_m: roll-back while zero was requested, and after a stop had begun.
+        was_driven_m: metres travelled, to notice a suite in which nothing moves.
     """
 
     def __init__(self, limits: CommandSettings, *, fine: bool, is_undisturbed: bool, lag_s: float) -> None:
@@ -387,18 +384,18 @@ class Oracle:
         self._seen_mps = max(abs(plant.speed_mps), self._seen_mps - 1.0 * TICK_S)
 
     def disturb(self, now_s: float, lasts_s: float) -> None:
-        """A disturbance was caused, and may show for this long: a stop meanwhile has a cause."""
+        """A disturbance, which may show for so long: a stop meanwhile has a cause."""
         self._disturbed_until_s = max(self._disturbed_until_s, now_s + lasts_s)
 
     def touch(self, now_s: float) -> None:
-        """Something else is in the way: a hit of it is a new one, but where the bumper still reads hit."""
+        """Another obstacle: a hit of it is new, unless the bumper still reads hit."""
         if now_s - self._pressed_s > 0.3 + SEEING_S:
             self._struck, self._acknowledged = None, False
         else:
             self._is_unsure = True
 
     def blind(self, now_s: float, lasts_s: float) -> None:
-        """The bus loses so many frames that nothing is seen in time and nothing is heard, for this long."""
+        """The bus loses so many frames for this long that nothing is seen in time."""
         self._blind_until_s = max(self._blind_until_s, now_s + lasts_s)
         self._excused_until_s = max(self._excused_until_s, self._blind_until_s + RETURNS_S)
 
@@ -472,11 +469,11 @@ class Oracle:
 
     @property
     def _is_kept_by_motor(self) -> bool:
-        """The motor alone holds it, for its parking brake slips: that is not asked for, whoever takes it over."""
+        """The motor alone holds it, since its parking brake slips: whoever takes over, that is not requested."""
         return self._trust.is_given_back  # Once the remote control has it, its latch may be reset.
 
     def _judge_yield(self, order: Told, last: Told, now_s: float, *, begins: bool) -> None:
-        """To the remote control nothing is told but a few times zero speed with the parking brake."""
+        """The remote control gets zero speed with the parking brake a few times, and no other command."""
         if begins:
             self._begins_unknown = not self._heard.is_ours(now_s) and not self._is_guards
         elif self._was_engaged:
@@ -497,7 +494,7 @@ class Oracle:
             self._fail("commands_remote", now_s, f"{_brief(order)}; before {_brief(last)}")
 
     def _judge_speed(self, order: Told, before: Told | None, gap_s: float, now_s: float) -> None:
-        """The told speed: never up without leave, never faster than the ramps, down when it has to be."""
+        """The speed never rises without leave, never changes faster than the ramps, and falls when it must."""
         speed_mps, bit_mps = order.speed_mps, self._bit_mps
         before_mps = before.speed_mps if before is not None and before.gear == order.gear else 0.0
         is_fresh = self._is_permitted and now_s - self._asked_s <= self._limits.deadman_s + 0.02
@@ -544,7 +541,7 @@ class Oracle:
             self._fail("not_falling", now_s, f"{speed_mps:.2f} m/s, at most {most_mps:.2f} after {why}")
 
     def _judge_silence(self, now_s: float) -> None:
-        """Output has ceased in this tick: the last word must have been a stop that was carried out."""
+        """Output has ceased in this tick: the last command must be a completed stop."""
         order, plant = self._order, self._plant
         if order is None or plant is None or now_s - self._order_s > TICK_S * 1.5 or self._is_guards:
             return
@@ -567,7 +564,7 @@ class Oracle:
         self._is_permitted = False
 
     def gateway_fails(self, now_s: float) -> None:
-        """The gateway's process stands still or is gone: within 100 ms the guard is to begin a stop."""
+        """The gateway hangs or is gone: within 100 ms the guard has to begin a stop."""
         self._cause_stop("the gateway failed", now_s + GUARD_S, at_once=False)
         self._excess_s, self._excess_rate = now_s + GUARD_S, self._falls_mps2(at_once=False)
         self._excess_mps = self._order.speed_mps if self._order is not None else 0.0
@@ -575,17 +572,17 @@ class Oracle:
         self.disturb(now_s, 6.0)
 
     def loses_bus(self) -> None:
-        """The gateway knows that it has lost the bus: what was heard before says nothing."""
+        """The gateway knows that it has lost the bus: what arrived before no longer counts."""
         self._heard.forget()
 
     def all_fail(self, now_s: float, until_s: float) -> None:
-        """Gateway and guard are gone, and nobody tells the chassis anything until another gateway begins."""
+        """Gateway and guard are gone: no commands until another gateway begins."""
         self._cause_stop("all failed", now_s, at_once=False)
         self._excused_until_s = max(self._excused_until_s, until_s + 1.0)
         self.disturb(until_s, 6.0)
 
     def gateway_returns(self) -> None:
-        """Another gateway begins. It knows of no bumper that was acknowledged, and of no latch but the guard's."""
+        """Another gateway begins. It knows no acknowledged bumper, and no latch but the guard's."""
         self._latched, self._acknowledged = [], False
         # Nor of a command that the one before left in the chassis: what is seen is all that bounds it.
         self._left_mps = None
@@ -593,7 +590,7 @@ class Oracle:
         self._counters.clear()
 
     def line(self, now_s: float) -> str:
-        """What is asked, told and true now, for a person."""
+        """Request, command and truth now, in one line."""
         order, plant = self._order, self._plant
         if plant is None:
             return ""
@@ -612,7 +609,7 @@ class Oracle:
 
     @property
     def is_commanded(self) -> bool:
-        """The chassis obeys somebody's enabled frames."""
+        """The chassis follows enabled frames."""
         return (
             self._order is not None
             and self._order.enabled
@@ -630,20 +627,20 @@ class Oracle:
             self._cause_stop("deadman", now_s, at_once=False)
 
     def _idle_s(self, now_s: float) -> float:
-        """For how long it should have been disengaged, because nobody asks for a speed; negative before."""
+        """How long it should have been disengaged for lack of a requested speed; negative before."""
         limit_s = self._limits.idle_s
         begin_s = max(self._zero_since_s, self._engaged_s)
         return -1.0 if self._asked_mps or not limit_s else now_s - begin_s - limit_s
 
     def _judge_hazard(self, now_s: float, *, is_due: bool) -> None:
-        """A stop that is latched shows both indicators, the guard's too."""
+        """A latched stop shows both indicators, the guard's too."""
         lamps = self._bytes.get(LIGHT_CMD, bytes(8))
         is_due = is_due and now_s >= self._blind_until_s
         if self._timer("hazard").lasts(now_s, holds=is_due) > SEEING_S and not lamps[1] & lamps[2] & 1:
             self._fail("no_hazard", now_s, f"the lamps were told {lamps[:3].hex()}; latched {self._latched}")
 
     def _find_cause(self, state: Fields, now_s: float) -> None:
-        """The gateway has stopped the robot, and nobody of us asked it to."""
+        """The gateway has stopped the robot without a request."""
         reason = state["stop_reason"]
         is_free = now_s < max(self._disturbed_until_s, self._excused_until_s) or self.is_damaged()
         is_free |= reason == "idle" and self._idle_s(now_s) > -SEEING_S
@@ -662,7 +659,7 @@ class Oracle:
         self._cause_s, self._cause, self._is_permitted = now_s, reason, False
 
     def _is_untrue(self, reason: str, now_s: float) -> bool:
-        """The speed that is seen contradicts what is told, in the way of this reason."""
+        """The seen speed contradicts the command in the way of this reason."""
         if self.is_damaged() or self._plant is None or BODY in self._plant.frozen:
             return True
         seen_mps = self._heard.speed_mps - 2 * self._bit_mps
@@ -672,17 +669,17 @@ class Oracle:
         return stands or (reason == "feedback_frozen" and now_s - self._heard.unchanged_s > 0.9)
 
     def _falls_mps2(self, *, at_once: bool) -> float:
-        """The least by which the told speed falls in a stop: a tenth is for bits and ticks."""
+        """The least by which the commanded speed falls in a stop; a tenth less for bits and ticks."""
         limits = self._limits
         return 0.9 * (limits.emergency_deceleration_mps2 if at_once else limits.deceleration_mps2)
 
     def _follows(self, plant: Plant) -> bool:
-        """The motor can slow the robot down as fast as it is told."""
+        """The motor can slow the robot down along the ramp."""
         return plant.slows_mps2 >= self._limits.deceleration_mps2 + FOLLOWS_MPS2
 
     @property
     def _straightens_s(self) -> float:
-        """So long it takes to slow down from the highest speed to what the largest steering angle allows."""
+        """Time to slow down from the highest speed to what the largest steering angle allows."""
         limits = self._limits
         bend = tan(radians(limits.steering_limit_deg))
         slow_mps = sqrt(limits.lateral_acceleration_mps2 * WHEELBASE_M / bend)
@@ -718,7 +715,7 @@ class Oracle:
 
     @staticmethod
     def _hides_mode(plant: Plant) -> bool:
-        """True if the robot says that the remote control has it, and is in another mode: nobody can know."""
+        """The robot reports the remote control, and is in another mode: nobody can know."""
         body = plant.shown.get(BODY)
         return plant.mode != REMOTE and body is not None and body[5] == REMOTE
 
@@ -770,7 +767,7 @@ class Oracle:
             self._fail(kind, now_s, f"{rolled_m:.2f} m on {plant.slope_deg:.0f} deg, {speed_mps:.2f} m/s")
 
     def _expect_notice(self, plant: Plant, rolled_m: float, now_s: float) -> None:
-        """That a parking brake does not hold is noticed and latched; after a reset, once more."""
+        """A parking brake that does not hold is noticed and latched; after a reset, once more."""
         if self._latched:
             self._latched_m = plant.x_m
         rolled_m = min(rolled_m, abs(plant.x_m - self._latched_m))
@@ -786,7 +783,7 @@ class Oracle:
             self._fail("brake_unnoticed", now_s, f"{rolled_m:.2f} m, {'braked' if plant.braked else 'released'}")
 
     def _judge_start(self, plant: Plant, now_s: float) -> None:
-        """While a speed is asked for, the robot does not roll the other way."""
+        """While a speed is requested, the robot does not roll the other way."""
         sign = 1.0 if self._asked_mps > 0 else -1.0
         if sign != self._asked_sign:
             self._asked_sign, self._best_m = sign, None
@@ -912,7 +909,7 @@ class Oracle:
         self._judge_frozen_body(plant, now_s)
 
     def _judge_runaway(self, plant: Plant, order: Told, now_s: float) -> None:
-        """A robot that grows faster than it was told to be has its parking brake asked for."""
+        """A robot that speeds up beyond its command has its parking brake requested."""
         for sign in (1.0, -1.0):
             over_mps = plant.speed_mps * sign - self._explained[sign] - 2 * self._bit_mps
             risen_mps = (plant.speed_mps - self._lately[-round(RISE_S / TICK_S)][1]) * sign - 2 * self._bit_mps
@@ -926,7 +923,7 @@ class Oracle:
                 self._fail("runaway_unbraked", now_s, f"{plant.speed_mps:.2f} m/s, told {order.signed_mps:.2f}")
 
     def _judge_seen(self, plant: Plant, order: Told, now_s: float) -> None:
-        """A robot that is told to move is seen to move, and what is seen changes with what is told."""
+        """A robot that is commanded to move is seen to move, and its feedback changes with the command."""
         seen_mps = self._heard.speed_mps
         told_mps = abs(order.signed_mps) - self._bit_mps if self._is_permitted else 0.0
         # The command as it was a second ago, with its lag and without: since then drive and wheels say the same.
@@ -998,7 +995,7 @@ class Oracle:
                 self._fail("into_bumper", now_s, f"told {order.signed_mps:.2f} m/s")
 
     def _doubt_bumpers(self, now_s: float, *, is_pressed: bool) -> None:
-        """What the gateway takes for pressed is not known after bad or missing frames, or some 300 ms of clear."""
+        """After bad or missing frames, or some 300 ms of clear, the gateway's view of the bumpers is unknown."""
         clear_s = now_s - self._pressed_s
         bounces = is_pressed and 0.3 - 0.06 < clear_s <= 0.3 + SEEING_S
         if is_pressed:
@@ -1009,7 +1006,7 @@ class Oracle:
             self._is_unsure = False
 
     def _judge_service(self, plant: Plant, now_s: float) -> None:
-        """What the operator may rely on: the robot engages, holds itself, moves, and says when it is adrift."""
+        """What the operator relies on: the robot engages, holds itself, moves, and reports what is wrong."""
         order = self._order if now_s - self._order_s < 3 * TICK_S else None
         quiet = now_s > max(self._disturbed_until_s, self._excused_until_s)
         # A stop that is under way ends first, with the gentlest ramp of the settings.
@@ -1048,7 +1045,7 @@ class Oracle:
             self._fail("mode_stop_moving", now_s, f"{plant.speed_mps:.2f} m/s in mode stop, and nothing is told")
 
     def expect_rest(self, now_s: float, kind: str, since_s: float) -> None:
-        """By now the robot must stand with its parking brake applied, if nobody has engaged it since then."""
+        """By now the robot must stand with its parking brake applied, unless it was engaged since then."""
         plant = self._plant
         is_engaged = self._is_permitted or self._engaged_s > since_s
         if plant is None or is_engaged or not self._is_reachable(now_s):
@@ -1063,7 +1060,7 @@ class Oracle:
             self._fail(kind, now_s, "nothing is latched")
 
     def expect_frames(self, now_s: float, kind: str) -> None:
-        """By now somebody must be telling the chassis to stop."""
+        """By now the chassis must receive a stop."""
         if now_s - self._order_s > 3 * TICK_S:
             self._fail(kind, now_s, f"the last frame was {now_s - self._order_s:.2f} s ago")
 
@@ -1075,34 +1072,34 @@ class Oracle:
 
 
 def _brief(order: Told) -> str:
-    """Enables, gear, parking request, speed and angle, for a person."""
+    """Enables, gear, parking request, speed and angle in one line."""
     brake, on = "P" if order.parking else "-", "on" if order.enabled else "off"
     return f"{on:3} {'?PRND???'[order.gear]}{brake} {order.speed_mps:5.3f} {order.angle_deg:5.1f}"
 
 
 def _turned_deg(off_deg: float) -> float:
-    """How far in a tick the slowest steering that a gateway has to allow for turns towards its target."""
+    """How far the slowest steering that a gateway has to allow for turns in a tick."""
     return min(25.0, off_deg / SLOW_STEERING_S) * TICK_S
 
 
 def _worn_mps2(plant: Plant) -> float:
-    """How fast a worn parking brake slows a robot that it holds once it stands; no bound for a good one."""
+    """How fast a worn parking brake slows a robot that it holds at standstill; no bound for a good one."""
     return plant.brake_slows_mps2 if plant.brake_holds and plant.brake_grip < 1 else inf
 
 
 def _unheld_m(plant: Plant) -> float:
-    """How much further than by the rules a robot may roll whose motor, or whose brake, does not hold it."""
+    """Additional metres for a robot whose motor, or whose brake, does not hold it."""
     if not plant.can_hold:
         return _dead_motor_m(plant)
     return 0.0 if plant.brake_holds else _slipping_m(plant) - STOP_M
 
 
 def _dead_motor_m(plant: Plant) -> float:
-    """How far a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
+    """Metres a robot rolls that nothing holds, until the rule on rolling has closed the parking brake.
 
-    A motor that cannot hold this hill leaves gravity alone with the robot for 0.1 s, ``SEEING_S`` and the brake's
-    delay; then the brake has what gravity leaves of its grip. No gateway can do better. Frozen speeds leave the
-    pulses alone to show it.
+    Where the motor cannot hold the hill, gravity alone acts for 0.1 s, ``SEEING_S`` and the brake's delay; then
+    the brake has what gravity leaves of its grip. No gateway can do better. With frozen speeds only the pulses
+    show it.
     """
     pull = abs(plant.load_mps2)
     free_s = 0.1 + SEEING_S + plant.build.brake_delay_s + PULSES_S * ({DRIVE, WHEELS} <= plant.frozen)
@@ -1110,9 +1107,9 @@ def _dead_motor_m(plant: Plant) -> float:
 
 
 def _slipping_m(plant: Plant) -> float:
-    """How far a robot rolls behind a brake without any grip, until the motor has it.
+    """Metres a robot rolls behind a brake without any grip, until the motor has it.
 
-    Gravity alone has it for the 0.1 s of the rule on rolling, the 20 ms between two frames, a tick, and until the
+    Gravity alone acts for the 0.1 s of the rule on rolling, the 20 ms between two frames, a tick, and until the
     brake has opened. Then the motor slows it, with the lag of its drive.
     """
     pull = abs(plant.load_mps2)

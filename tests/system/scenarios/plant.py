@@ -1,7 +1,7 @@
-"""A model of the chassis that knows the manual and nothing of the gateway: bytes in, motion, bytes out.
+"""A model of the chassis written from the manual alone: bytes in, motion, bytes out.
 
-What the manual leaves open is a parameter of ``Build`` or a knob of ``Plant``, and a scenario draws it at random.
-Forward, left and uphill are positive.
+What the manual leaves open is a parameter of ``Build`` or a knob of ``Plant``, drawn at random. Forward, left and
+uphill are positive.
 """
 
 from __future__ import annotations
@@ -71,12 +71,7 @@ def checksum(data: bytes) -> int:
 
 
 class Told(msgspec.Struct):
-    """What the five motion frames say.
-
-    Attributes:
-        enabled: all five enables; ``any_enabled``: at least one.
-        speed_mps: a magnitude; ``signed_mps`` has the direction of the gear.
-    """
+    """The command in the five motion frames; ``enabled`` needs all five enables, ``any_enabled`` one."""
 
     enabled: bool
     any_enabled: bool
@@ -92,7 +87,7 @@ class Told(msgspec.Struct):
 
 
 def orders(gear: int, speed_mps: float, *, fine: bool) -> dict[int, bytes]:
-    """The five motion frames of somebody who drives straight on."""
+    """The five motion frames that drive straight on."""
     speed = round(speed_mps / (0.001 if fine else 0.04)).to_bytes(2, "little")
     bodies = {
         GEAR_CMD: bytes([1, gear, 0]),
@@ -106,7 +101,6 @@ def orders(gear: int, speed_mps: float, *, fine: bool) -> dict[int, bytes]:
 
 
 def told(frames: dict[int, bytes], *, fine: bool) -> Told:
-    """Read the five motion frames."""
     enables = [bool(frames[identifier][0] & 1) for identifier in MOTION_CMDS]
     return Told(
         enabled=all(enables),
@@ -120,17 +114,16 @@ def told(frames: dict[int, bytes], *, fine: bool) -> Told:
 
 
 class Build(msgspec.Struct, frozen=True, kw_only=True):
-    """A chassis as it was built and loaded.
+    """A chassis as built and loaded.
 
     Attributes:
         fine: speeds in 0.001 m/s a bit, else in 0.04 m/s.
         stop_mode: outside auto it "brakes" with the motor, "coasts" in neutral or "parks".
         brake_delay_s: until the parking brake has closed or opened.
         battery: share of the motor's force and of its highest speed that the voltage leaves.
-        parks_motor: behind the parking brake the motor is off; else it holds the robot with it.
-        pulses_per_m: the manual gives none.
+        parks_motor: behind the parking brake the motor is off; else it holds the robot too.
         is_noisy: measured values flicker by one bit.
-        missing: feedback frames that it does not send.
+        missing: feedback frames that it never sends.
     """
 
     fine: bool = False
@@ -151,23 +144,18 @@ class Build(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Plant:
-    """The chassis, its hill and whoever else lays hands on it.
+    """The chassis, its hill and all that acts on it.
 
     Attributes:
         slope_deg: now; it goes to ``slope_target_deg`` at ``slope_rate_degps``.
-        pedal_gain, motor_strength, speed_gain: 0 to 1 and more; they may change at any time.
-        stuck: the steering motor does not move.
-        blocked: something holds the wheels.
-        brake_grip: share of its grip that the parking brake has, whatever it reads; it creeps at
-            ``brake_creep_mps`` where it holds all the same.
+        pedal_gain, motor_strength, speed_gain: factors that may change at any time.
+        brake_grip: share of the parking brake's grip, whatever it reads; ``brake_creep_mps`` even if it holds.
         hand: somebody pushes: at which speed, and with how many newtons at most.
-        button: held in mode stop, whatever is enabled.
-        sticks: the remote control has the robot: speed and angle; None gives it back.
-        frozen: frames that repeat their values; their counters run on.
-        silent: frames that are not sent.
-        wall: which bumper touches, and where the robot was then; None for nothing there.
-        speed_mps, x_m, angle_deg, gear, braked: the truth.
-        is_away: the controller restarts, and neither hears nor says anything.
+        button: mode stop, whatever is enabled.
+        sticks: speed and angle of the remote control; None gives the robot back.
+        frozen, silent: frames whose values repeat, and frames that are not sent.
+        wall: the touching bumper, and the robot's place then.
+        is_away: the controller restarts.
         shown: the newest payload of each feedback frame.
     """
 
@@ -210,36 +198,33 @@ class Plant:
 
     @property
     def motor_n(self) -> float:
-        """The most that the motor can do now."""
+        """The motor's greatest force now."""
         return MOTOR_N * self.motor_strength * self.build.battery
 
     @property
     def can_hold(self) -> bool:
-        """The motor has the force that this hill takes, and some to spare."""
+        """The motor can hold the robot on this hill."""
         return self.build.mass_kg * (abs(self.load_mps2) - ROLLING_MPS2) < self.motor_n
 
     @property
     def brake_holds(self) -> bool:
-        """The parking brake, if it is applied, holds the robot on this hill for good."""
+        """The parking brake, if applied, holds the robot on this hill."""
         pull = abs(self.load_mps2) - ROLLING_MPS2
         return pull <= 0 or (not self.brake_creep_mps and pull <= self._grip_mps2)
 
     @property
     def creeps_slowly(self) -> bool:
-        """So slowly that the speeds read zero, and that not each 50 ms bring a pulse of either wheel.
-
-        A brake that catches and lets go by turns creeps at half its speed.
-        """
+        """So slowly that the speeds read zero, and that not each 50 ms bring a pulse of either wheel."""
         return 0 < self.brake_creep_mps * self.build.pulses_per_m * 0.05 < 1
 
     @property
     def creeps_unseen(self) -> bool:
-        """So slowly that one wheel alone does not bring a pulse in 450 ms."""
+        """So slowly that one wheel alone, at half the speed, does not bring a pulse in 450 ms."""
         return 0 < self.brake_creep_mps / 2 * self.build.pulses_per_m * 0.45 < 1
 
     @property
     def brake_slows_mps2(self) -> float:
-        """How fast the parking brake can bring the robot to rest on this hill, going down."""
+        """Deceleration by the parking brake, going down this hill."""
         return self._grip_mps2 + ROLLING_MPS2 - abs(self.load_mps2)
 
     @property
@@ -248,33 +233,33 @@ class Plant:
 
     @property
     def slows_mps2(self) -> float:
-        """How fast the motor can bring the robot to rest on this hill, going down."""
+        """Deceleration by the motor, going down this hill."""
         return self.motor_n / self.build.mass_kg + ROLLING_MPS2 - abs(self.load_mps2)
 
     @property
     def can_climb(self) -> bool:
-        """The motor has the force to set the robot going up this hill."""
+        """The motor can start the robot up this hill."""
         needed = abs(self.load_mps2) + ROLLING_MPS2 + 0.3
         return self.build.mass_kg * needed < self.motor_n
 
     def reboot(self, seconds: float) -> None:
-        """The controller restarts: every command is forgotten, and the motor is free meanwhile."""
+        """The controller restarts: it forgets every command, and the motor is free meanwhile."""
         self._away_s = seconds
         self._commands.clear()
 
     def touch(self, side: str) -> None:
-        """Something is in the way, right at this bumper."""
+        """An obstacle right at this bumper."""
         self.wall = (side, self.x_m)
         self._contact_s = 0.0
 
     def found_driving(self, gear: int, speed_mps: float) -> None:
-        """Begin in the midst of a drive that nobody sends commands for any more."""
+        """Begin in a drive whose commands have ceased."""
         self._commands = orders(gear, speed_mps, fine=self.build.fine)
         self.speed_mps = speed_mps * SIGN[gear]
         self.mode, self.braked, self.gear = AUTO, False, gear
 
     def receive(self, identifier: int, data: bytes) -> None:
-        """A frame came from the bus. What is damaged or no command of ours is dropped."""
+        """A frame from the bus; damaged or unknown ones are dropped."""
         if not self.is_away and len(data) == 8 and data[7] == checksum(data):
             self._commands[identifier] = data
 
@@ -367,12 +352,12 @@ class Plant:
         return after
 
     def _resistance(self, pedal: float) -> float:
-        """What slows it down but the motor."""
+        """Deceleration by all but the motor."""
         held = (self._grip_mps2 if self.braked else 0.0) + (BLOCKED_MPS2 if self.blocked else 0.0)
         return ROLLING_MPS2 + pedal * self.pedal_gain * PEDAL_MPS2 + held
 
     def _motor_n(self, goal_mps: float) -> float:
-        """Force of the motor: it goes to the speed with a lag, and holds it against the hill as far as it can."""
+        """The motor's force: it approaches the speed with a lag, and holds it against the hill if it can."""
         wanted = (goal_mps - self.speed_mps) / self.build.drive_lag_s
         slows = wanted * self.speed_mps < 0
         most = MOTOR_DOWN_MPS2 if slows else MOTOR_UP_MPS2
@@ -432,7 +417,7 @@ class Plant:
         return round(value) + (self._random.choice((-1, 0, 0, 1)) if self.build.is_noisy else 0)
 
     def _touches(self) -> tuple[int, int]:
-        """The two bumpers. A contact chatters for 80 ms, and as long as it only just touches."""
+        """The two bumpers. A contact chatters for 80 ms, and while it only just touches."""
         if self.wall is None:
             return 0, 0
         side, at_m = self.wall

@@ -1,6 +1,6 @@
-"""The gateway's core, its guard and an operator, beside the plant, in simulated time.
+"""The gateway's core, its guard and an operator beside the plant, in simulated time.
 
-Everything that this suite knows of the gateway's interfaces is in ``Gateway`` and ``Guard``.
+``Gateway`` and ``Guard`` hold all that this suite knows of the gateway's interfaces.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ CHECKSUM_FAULTS: Final = 5
 
 
 class Gateway:
-    """The core, as the outside sees it: requests as fields, frames as identifier and bytes.
+    """The core from outside: requests as fields, frames as identifier and bytes.
 
     Attributes:
         state: the newest safety/state; empty before the first.
-        replies: those of the last tick, verb and fields.
-        samples: all that was published, if it is kept.
+        replies: verb and fields of the last tick's replies.
+        samples: all that was published, if it is stored.
     """
 
     def __init__(
@@ -76,21 +76,18 @@ class Gateway:
 
     @staticmethod
     def echo(state: Fields) -> Fields:
-        """What a request carries of the newest state that its sender saw."""
+        """The part of a state that a request carries."""
         return {name: state[name] for name in ("tick", "challenge") if name in state}
 
     @staticmethod
     def fields(verb: str, lease: int, echo: Fields, **fields: object) -> Fields:
-        """A request, complete."""
         carried = {"drive": echo, "engage": {k: v for k, v in echo.items() if k == "challenge"}}.get(verb, {})
         return {**({} if verb in UNLEASED else {"lease": lease}), **carried, **fields}
 
     def ask(self, verb: str, fields: Fields) -> None:
-        """A request arrives; it is judged in the next tick."""
         self._requests.append((verb, fields))
 
     def receive(self, frames: list[CanFrame], now_ns: int) -> None:
-        """Frames came from the bus."""
         for identifier, data in frames:
             sample = self._core.receive_frame(Frame(identifier | EXTENDED, data), now_ns)
             if self._keeps and sample is not None:
@@ -99,7 +96,7 @@ class Gateway:
     def tick(
         self, now_ns: int, late_ns: int, guard: GuardView, bus: Bus, *, former_sends: bool = False
     ) -> list[CanFrame]:
-        """One tick of the loop. Returns what it sends: nothing if a guard has the robot, ours or the former."""
+        """One tick of the loop. Returns its frames: none while a guard has the robot."""
         for verb, fields in self._requests:
             self._handle += 1
             handle = 0 if verb in PUTS else self._handle
@@ -129,7 +126,7 @@ class Gateway:
         return [(frame.can_id & IDENTIFIER_MASK, frame.data) for frame in frames]
 
     def beat(self, before: Beat, now_ns: int) -> Beat:
-        """What the guard is told after a tick; written as the gateway's own process does."""
+        """The heartbeat for the guard after a tick, as the gateway's process writes it."""
         command = self._core.command
         assert command is not None
         arbiter = command.arbiter
@@ -164,13 +161,13 @@ class Gateway:
 
 
 def _sent(samples: list[Sample]) -> list[tuple[int, bytes]]:
-    """The frames of the batches; where one batch ends depends on when the core was made."""
+    """The frames of the batches; batch borders depend on when the core was made."""
     batches = [msgspec.msgpack.decode(sample.payload) for sample in samples if sample.subject == "can/{bus}/tx"]
     return [frame for batch in batches for frame in zip(batch["can_id"], batch["data"], strict=True)]
 
 
 class Guard:
-    """The guard's process, as long as the gateway's does what it should, and after."""
+    """The guard's process."""
 
     def __init__(self, settings: CommandSettings) -> None:
         self._guardian = Guardian(CHASSIS, settings)
@@ -191,16 +188,14 @@ class Guard:
         return GuardView(status.is_ready, status.is_sending, status.stops)
 
     def hear(self, frames: list[CanFrame], now_ns: int) -> None:
-        """Frames of anybody are on the bus."""
         for identifier, data in frames:
             self._guardian.receive(Frame(identifier | EXTENDED, data), now_ns)
 
     def told(self, gateway: Gateway, now_ns: int) -> None:
-        """The loop has beaten."""
         self._beat = gateway.beat(self._beat or Beat(0), now_ns)
 
     def tick(self, now_ns: int, bus: Bus, *, parent_lives: bool) -> list[CanFrame]:
-        """Every 5 ms. Returns what the guard sends."""
+        """Every 5 ms. Returns the guard's frames."""
         if self._guardian.is_ended:
             return []
         frames = self._guardian.tick(self._beat, now_ns, parent_lives=parent_lives, bus_up=not bus.is_away)
@@ -211,7 +206,7 @@ class Guard:
 
 
 class Leg(msgspec.Struct, frozen=True):
-    """A part of what the operator does: for how long, at which speed and angle; what is asked as it begins."""
+    """A part of the operator's script, with a request at its beginning."""
 
     lasts_s: float
     speed_mps: float = 0.0
@@ -221,12 +216,7 @@ class Leg(msgspec.Struct, frozen=True):
 
 
 class Operator:
-    """Drives by a script at 50 Hz. After a stop it goes on sending for a while, and may then begin anew.
-
-    Attributes:
-        seen: the newest safety/state that has arrived.
-        is_done: the script has ended, and nothing is sent any more.
-    """
+    """Drives by a script at 50 Hz. After a stop it goes on sending for a while, and may then engage again."""
 
     def __init__(self, legs: list[Leg], *, gives_up_s: float, recovers: bool) -> None:
         self._legs = deque(legs)
@@ -245,11 +235,10 @@ class Operator:
         self.is_done = False
 
     def wait_until(self, now_s: float) -> None:
-        """Ask for nothing before this time."""
+        """Send no request before this time."""
         self._due_s = now_s
 
     def receive_reply(self, verb: str, reply: Fields, now_s: float) -> None:
-        """A reply has arrived."""
         if verb == "acquire" and reply["ok"]:
             self._lease, self._sequence, self._step = reply["lease"], 0, "engage"
         elif reply["reason"] in LEASE_LOST and self._step != "drive":
@@ -266,7 +255,7 @@ class Operator:
         self._due_s = min(self._due_s, now_s + 0.3)
 
     def act(self, now_s: float) -> list[tuple[str, Fields]]:
-        """What it sends now; asked every 20 ms."""
+        """Requests to send now; called every 20 ms."""
         asked: list[tuple[str, Fields]] = []
         if not self.seen:
             return asked
@@ -313,15 +302,14 @@ class Operator:
 
 
 class Bus:
-    """Loses and damages frames, takes only a part of a burst, and is away.
+    """Loses and damages frames, takes a part of a burst, and can be away.
 
     Attributes:
-        loss, corruption: share of the frames.
+        loss, corruption: shares of the frames.
         most: frames of a burst that it takes; None for all.
-        is_away: nobody can send or hear; ``losses``: how often that has begun.
+        losses: how often it has gone away.
         failed_ns: when damage was last a cause to stop by the rule on checksum faults.
-        passed_ns: when a damaged frame last passed for a whole one and may have said that a bumper was hit or that
-            the mode changed.
+        passed_ns: when a damaged frame with a right checksum last may have changed bumper or mode.
     """
 
     def __init__(self, random: Random, loss: float, corruption: float) -> None:
@@ -335,16 +323,14 @@ class Bus:
         self._random = random
 
     def go(self, *, away: bool) -> None:
-        """Be away, or return."""
         self.losses += away and not self.is_away
         self.is_away = away
 
     def takes(self, count: int) -> int:
-        """So many frames of a burst are sent."""
         return 0 if self.is_away else count if self.most is None else min(count, self.most)
 
     def carry(self, frames: list[CanFrame], now_ns: int) -> list[CanFrame]:
-        """What of these arrives."""
+        """The frames that arrive."""
         if self.is_away:
             return []
         if not self.loss and not self.corruption:
@@ -375,13 +361,7 @@ class Bus:
 
 
 class Rig:
-    """Everything together, tick by tick.
-
-    Attributes:
-        guards: that of the gateway last, before it those of the gateways that died.
-        hangs: the gateway's process stands still; ``dead``: it is gone.
-        now_s: since the start.
-    """
+    """All together, tick by tick; ``guards`` has the newest gateway's last, after those of dead gateways."""
 
     def __init__(
         self, plant: Plant, gateway: Gateway, operator: Operator, bus: Bus, judge: Oracle, guard: Guard | None
@@ -402,7 +382,6 @@ class Rig:
         return self.now_ns / 1e9
 
     def tick(self) -> None:
-        """Ten milliseconds pass."""
         for _ in range(TICK_NS // STEP_NS):
             self.now_ns += STEP_NS
             frames = self.bus.carry(self.plant.step(), self.now_ns)
@@ -418,14 +397,14 @@ class Rig:
                 self._send(guard.tick(self.now_ns, self.bus, parent_lives=lives), guard)
 
     def succeed(self, gateway: Gateway, guard: Guard) -> None:
-        """Another gateway begins in the place of the dead one, whose guard may still be stopping the robot."""
+        """Another gateway begins in place of the dead one, whose guard may still be stopping the robot."""
         self.gateway, self.dead, self.hangs = gateway, False, False
         self.guards.append(guard)
         self._hung_ns, self._waiting = 0, []
         self._up.clear()
 
     def ask(self, verb: str) -> None:
-        """Somebody else asks for something that needs no lease."""
+        """Somebody else sends a request that needs no lease."""
         self._up.append((self.now_ns, verb, {}))
 
     def _operate(self) -> None:

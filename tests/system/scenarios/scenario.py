@@ -52,8 +52,8 @@ class Act(msgspec.Struct, frozen=True):
 
     Attributes:
         shows_s: for so long a stop has a cause in it.
-        when: it waits until the robot does this, of ``MOMENTS``.
-        then: what follows, from its own moment.
+        when: it waits for this moment, of ``MOMENTS``.
+        then: acts that follow, from its own moment.
     """
 
     at_s: float
@@ -68,12 +68,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
     """All that a seed decides.
 
     Attributes:
-        finds_variant: the gateway is not told which variant the chassis is.
-        found_mps: at the start the chassis drives by itself at this speed; 0 if it stands.
+        finds_variant: the gateway has to find the chassis's variant.
+        found_mps: at the start the chassis drives by itself at this speed.
         fails_s, hangs_s: when the gateway's process fails, and for how long; without a guard never.
-        guard_dies: the guard fails with it, and for ever.
-        returns_s: so long after one that fails for ever, another one begins; 0: none does.
-        limit_s: it ends then, or ``rests_s`` after the operator has done.
+        guard_dies: the guard fails with it, for ever.
+        returns_s: from a failure for ever to another gateway; 0: none.
+        limit_s: it ends then, or ``rests_s`` after the operator.
     """
 
     seed: int
@@ -100,17 +100,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_undisturbed(self) -> bool:
-        """Nothing goes wrong but for single frames."""
+        """Only single frames go wrong."""
         return not self.disturbances
 
 
 class Result(msgspec.Struct, frozen=True):
-    """What came of a scenario.
-
-    Attributes:
-        slope_deg: the steepest.
-        way_m: metres travelled since the first act.
-    """
+    """The outcome; ``slope_deg`` is the steepest, ``way_m`` the metres since the first act."""
 
     seed: int
     violations: list[Violation]
@@ -183,12 +178,12 @@ def _freeze(random: Random) -> list[Act]:
 
 
 def _at(when: str, knob: str, value: object, after: object, lasts_s: float) -> Act:
-    """From such a moment on, and for so long."""
+    """From such a moment on, for so long."""
     return Act(0, knob, value, lasts_s + SHOWS_S, when, (Act(lasts_s, knob, after),))
 
 
 def _frozen_speed(random: Random) -> list[Act]:
-    """All feedback, or that of the speed alone, while pulses and mileage count; the frames go on."""
+    """All feedback, or that of the speed alone, freezes; the frames go on."""
     frozen = random.choice((ALL_FEEDBACK, ALL_FEEDBACK - {PULSES, BODY}, SPEED_FEEDBACK, SPEED_FEEDBACK))
     lasts_s = random.choice((random.uniform(1.0, 6.0), FOREVER_S))
     return [_at(random.choice(("released", "accelerating")), "frozen", frozen, frozenset(), lasts_s)]
@@ -200,7 +195,7 @@ def _blocked(random: Random) -> list[Act]:
 
 
 def _motor_dies(random: Random) -> list[Act]:
-    """Downhill, wherever the robot is in its ramps."""
+    """Downhill, anywhere in the robot's ramps."""
     steep_deg = random.choice((-1, 1)) * random.uniform(8, 20)
     return [
         Act(0, "slope_rate_degps", 30.0),
@@ -210,7 +205,7 @@ def _motor_dies(random: Random) -> list[Act]:
 
 
 def _brake(random: Random) -> list[Act]:
-    """A parking brake that reads applied: it holds nothing, slips, or creeps."""
+    """A parking brake that reads applied, and holds nothing, slips or creeps."""
     grip, creep_mps = random.choice(
         ((0.0, 0.0), (random.uniform(0, 0.4), 0.0), (1.0, random.uniform(0.005, 0.05)))
     )
@@ -224,7 +219,7 @@ def _brake(random: Random) -> list[Act]:
 
 
 def _remote_unseen(random: Random) -> list[Act]:
-    """The remote control takes over and gives back, and the bus is away at any phase of that; a stop is owed."""
+    """The remote control takes over and gives back while the bus is away at some phase; a stop is owed."""
     lasts_s, away_s = random.uniform(0.2, 3.0), random.choice((0.02, 0.1, 0.2, random.uniform(0.2, 2.0)))
     from_s = random.uniform(0.0, away_s)
     sticks = (random.choice((0.0, 0.0, random.uniform(-1.0, 1.0))), 0.0)
@@ -238,7 +233,7 @@ def _remote_unseen(random: Random) -> list[Act]:
 
 
 def _body_away(random: Random) -> list[Act]:
-    """The body frames are away for a moment while the remote control takes over; later it gives back."""
+    """The body frames are missing for a moment while the remote control takes over; later it gives back."""
     away_s, from_s = random.uniform(0.4, 0.6), random.uniform(0.0, 0.4)
     back_s = random.uniform(1.0, 5.0)
     return [
@@ -248,7 +243,7 @@ def _body_away(random: Random) -> list[Act]:
 
 
 def _part(random: Random) -> list[Act]:
-    """The bus takes some frames of each burst and no more."""
+    """The bus takes only some frames of each burst."""
     lasts_s = random.choice((0.01, 0.01, random.uniform(0.02, 1.0)))
     acts = [Act(0, "most", random.randint(0, 6), lasts_s + SHOWS_S)]
     acts += [Act(lasts_s * part / 3, "most", random.randint(0, 6)) for part in (1, 2) if lasts_s > 0.1]
@@ -329,7 +324,7 @@ def _legs(random: Random, speed_limit_mps: float) -> list[Leg]:
 
 
 def _legs_by_stick(random: Random, speed_limit_mps: float) -> list[Leg]:
-    """Taps, turns and gaps, most of them shorter than a ramp, and some slower than what counts as standing."""
+    """Taps, turns and gaps, most of them shorter than a ramp, some slower than standstill's bound."""
     legs: list[Leg] = []
     while sum(leg.lasts_s for leg in legs) < SCRIPT_S:
         speed_mps = random.choice((-1.0, 1.0, 1.0)) * random.choice(
@@ -348,7 +343,7 @@ def _legs_by_stick(random: Random, speed_limit_mps: float) -> list[Leg]:
 
 
 def _command(random: Random, speed_limit_mps: float, link_s: float) -> CommandSettings:
-    """In every third one all that may be set is drawn from where it may be; a link lets its commands be so old."""
+    """In every third scenario all settings are random; the link allows commands of that age."""
     if random.random() < 2 / 3:
         return CommandSettings(speed_limit_mps=speed_limit_mps)
     deceleration_mps2 = random.uniform(0.3, 2.0)
@@ -438,11 +433,7 @@ def _variant(plan: Scenario) -> Literal["auto", "fine", "coarse"]:
 
 
 class Play:
-    """A scenario being played.
-
-    Attributes:
-        began_m: the way that the robot had travelled at the first act.
-    """
+    """A scenario being played; ``began_m`` is the way travelled at the first act."""
 
     def __init__(
         self,
@@ -615,13 +606,7 @@ class Play:
 
 
 def run(seed: int, *, runs_again: bool = False, watch: Callable[[Play], None] | None = None) -> Result:
-    """Play the scenario of a seed.
-
-    Args:
-        seed: of the scenario.
-        runs_again: run its journal again too, and compare.
-        watch: called after each tick.
-    """
+    """Play a seed's scenario, and rerun its journal too if ``runs_again``; ``watch`` is called after each tick."""
     play = Play(scenario(seed), keeps=runs_again, watch=watch)
     result = play.run()
     difference = play.gateway.differs_when_run_again() if runs_again else ""

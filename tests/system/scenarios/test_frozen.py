@@ -10,23 +10,20 @@ BY_DAY = (*frozen.NAMES[: frozen.SEEDS : 50], *list(DEATHS)[::13])
 
 @pytest.fixture(scope="module", name="rows")
 def read_rows() -> dict[str, str]:
-    """The rows of the file, by name."""
     return frozen.frozen()
 
 
 def test_the_plans_are_the_frozen_ones(rows: dict[str, str]) -> None:
-    """Of every seed and every death: the generator does not change, or no hash proves anything."""
+    """The generator must not change, or no hash proves anything."""
     assert list(rows) == list(frozen.NAMES)
     assert [name for name in rows if frozen.hash_of_plan(frozen.plan_of(name)) != rows[name].split()[1]] == []
 
 
 @pytest.mark.parametrize("name", BY_DAY)
 def test_the_same_frames_and_samples_as_when_it_was_frozen(name: str, rows: dict[str, str]) -> None:
-    """At the same times, whoever sends them."""
     assert frozen.difference(frozen.row_of(name), rows[name]) == ""
 
 
 @pytest.mark.parametrize("name", early_stops.SITUATIONS)
 def test_the_early_stop_sends_the_same_bytes(name: str) -> None:
-    """At the same times, in every situation."""
     assert early_stops.told(name) in early_stops.FILE.read_text(encoding="utf-8")

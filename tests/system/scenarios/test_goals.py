@@ -27,7 +27,7 @@ def aimed(
     build: Build | None = None,
     rests_s: float = 5.0,
 ) -> Scenario:
-    """Stand for a second, drive at a speed for 6 s, and then what ``ends`` say; meanwhile something goes wrong."""
+    """Stand for a second, drive for 6 s, then the legs of ``ends``, with these disturbances."""
     return Scenario(
         seed=1,
         build=build or Build(),
@@ -48,18 +48,18 @@ def aimed(
 
 
 def frozen(frames: frozenset[int], at_s: float, when: str = "") -> Act:
-    """These frames say for ever what they say now."""
+    """These frames repeat their values for ever."""
     return Act(at_s, "frozen", frames, FOREVER_S, when)
 
 
 def dying(phase_s: float, mps: float, deceleration_mps2: float) -> Scenario:
-    """The motor dies down 20 deg, so long after the operator has let go."""
+    """The motor dies down 20 deg, so long after the operator's release."""
     dies = Act(LETS_GO_S + phase_s, "motor_strength", 0.0, FOREVER_S)
     return aimed(dies, mps=mps, slope_deg=-20.0, ends=(Leg(6.0),), deceleration_mps2=deceleration_mps2)
 
 
 def slipping(grip: float, creep_mps: float, end: Leg) -> Scenario:
-    """The parking brake, once it has been applied up 20 deg, does not hold, and the motor is off behind it."""
+    """The parking brake does not hold up 20 deg once applied, with the motor off."""
     fails = Act(LETS_GO_S, "brake_grip", grip, FOREVER_S, "braked", (Act(0, "brake_creep_mps", creep_mps),))
     build = Build(parks_motor=True, stop_mode="coasts")
     return aimed(fails, mps=0.5, slope_deg=20.0, ends=(Leg(0.5), end), build=build, rests_s=30.0)
@@ -85,7 +85,7 @@ def play(plan: Scenario) -> Result:
 
 @pytest.mark.parametrize(("plan", "bound_m"), WAYS.values(), ids=WAYS)
 def test_a_fault_costs_no_more_than_so_many_metres(plan: Scenario, bound_m: float) -> None:
-    """From the fault on, and no rule is broken."""
+    """From the fault on, with no rule broken."""
     result = play(plan)
     assert result.violations == []
     assert result.way_m < bound_m
@@ -97,7 +97,7 @@ def test_a_fault_costs_no_more_than_so_many_metres(plan: Scenario, bound_m: floa
 def test_a_motor_that_dies_downhill_costs_no_more(
     fast: tuple[float, float], ramp_mps2: float, phase_s: float
 ) -> None:
-    """At a speed and within so many metres, so long after the operator has let go."""
+    """At a speed and within so many metres, so long after the release."""
     result = play(dying(phase_s, fast[0], ramp_mps2))
     assert result.violations == []
     assert result.way_m < fast[1]
@@ -105,7 +105,7 @@ def test_a_motor_that_dies_downhill_costs_no_more(
 
 @pytest.mark.parametrize("at_s", [STANDS_S, UNDER_WAY_S, FAST_S])
 def test_a_robot_that_is_held_gives_up_and_does_not_jump(at_s: float) -> None:
-    """Within 2 s from when it is told to move; nothing jumps when it comes free."""
+    """Within 2 s of the command; nothing jumps when it comes free."""
     told_s, gave_up_s = [], []
 
     def watch(it: Play) -> None:
@@ -124,7 +124,7 @@ def test_a_robot_that_is_held_gives_up_and_does_not_jump(at_s: float) -> None:
 def test_the_remote_control_is_told_no_speed_when_the_bus_returns(
     phase: int, away_s: float, verbs: tuple[str, ...]
 ) -> None:
-    """Whenever it took over meanwhile, and whoever is owed a stop."""
+    """Whenever it took over meanwhile, whatever stop is owed."""
     plan = aimed(
         Act(FAST_S, "away", value=True, shows_s=away_s + 3.0),
         Act(FAST_S + away_s, "away", value=False),
@@ -136,7 +136,7 @@ def test_the_remote_control_is_told_no_speed_when_the_bus_returns(
 
 @pytest.mark.parametrize("away_s", [0.4, 0.5, 0.6])
 def test_a_robot_that_is_given_back_does_not_drive_off(away_s: float) -> None:
-    """The body frames were away while the remote control took over."""
+    """The body frames were missing while the remote control took over."""
     plan = aimed(
         Act(FAST_S, "silent", frozenset({BODY}), FOREVER_S, then=(Act(away_s, "silent", frozenset()),)),
         Act(FAST_S + 0.2, "sticks", (0.0, 0.0), FOREVER_S, then=(Act(3.0, "sticks", None),)),
@@ -146,7 +146,7 @@ def test_a_robot_that_is_given_back_does_not_drive_off(away_s: float) -> None:
 
 @pytest.mark.parametrize(("most", "lasts_s"), every_value(range(2, 7), (0.05, 20.0)))
 def test_the_brake_comes_through_where_bursts_go_out_in_part(most: int, lasts_s: float) -> None:
-    """Of each burst the bus takes the first frames, be they two; a stop ends with the parking brake applied."""
+    """A stop ends with the parking brake applied, even if the bus takes two frames a burst."""
     cut = Act(FAST_S, "most", most, lasts_s + 3.0, then=(Act(lasts_s, "most", None),))
     it = Play(aimed(cut, Act(FAST_S + 0.02, "ask", "stop")), keeps=False)
     assert it.run().violations == []

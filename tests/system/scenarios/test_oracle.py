@@ -42,10 +42,7 @@ STICKS = (0.5, 0.0)
 
 
 class Stage:
-    """An oracle, a plant that it may believe, and whoever commands it; each step returns the stage.
-
-    A robot is engaged, and stands with its parking brake applied.
-    """
+    """An oracle, a plant and a commander; each step returns the stage. The robot is engaged, and stands braked."""
 
     def __init__(self) -> None:
         self.oracle = Oracle(CommandSettings(speed_limit_mps=1.0), fine=True, is_undisturbed=True, lag_s=0.1)
@@ -68,7 +65,7 @@ class Stage:
         enabled: int = 1,
         order: tuple[int, ...] = USUAL,
     ) -> Self:
-        """The five go out, or the first of them."""
+        """Send the five frames, or the first of them."""
         frames = orders(gear, speed_mps, fine=True)
         bodies = {PARKING_CMD: bytes([1, parking, 0]), STEERING_CMD: b"\x01" + raw_angle.to_bytes(2, "little")}
         sent = []
@@ -83,7 +80,7 @@ class Stage:
         return self
 
     def run(self, seconds: float, each: Callable[[], object] = bool) -> Self:
-        """Time passes, and each tick this is done."""
+        """Let time pass, and do this each tick."""
         for _ in range(round(seconds * 100)):
             self.now_s += 0.01
             for _ in range(round(0.01 / STEP_S)):
@@ -103,7 +100,6 @@ class Stage:
         return self.run(seconds, lambda: self.burst(speed_mps, **told))
 
     def tell_each(self, speeds_mps: Iterable[float]) -> Self:
-        """A speed a tick."""
         for speed_mps in speeds_mps:
             self.tell(0.01, speed_mps)
         return self
@@ -114,7 +110,6 @@ class Stage:
         return self
 
     def silence(self, seconds: float = 0.01) -> Self:
-        """Nothing goes out."""
         return self.run(seconds, lambda: self.oracle.frames([], self.now_s, taken=0, by_guard=False))
 
     def plant(self, **knobs: Any) -> Self:  # noqa: ANN401 - any knob
@@ -133,7 +128,7 @@ class Stage:
         return self
 
     def ask(self, speed_mps: float | None) -> Self:
-        """The operator asks for a speed; for None it falls silent."""
+        """The operator requests a speed; for None it falls silent."""
         self.asked_mps = speed_mps
         return self
 
@@ -142,12 +137,10 @@ class Stage:
         return self
 
     def reply(self, detail: str = "") -> Self:
-        """A stop is ok."""
         self.oracle.reply("stop", {"ok": True, "reason": "none", "detail": detail}, self.now_s)
         return self
 
     def stops(self, reason: str = "", *, latched: bool = True) -> Self:
-        """The gateway says that it has stopped the robot."""
         self.state = {"latched": [reason] * latched, "engaged": False, "stop_reason": reason or "none"}
         return self
 
@@ -164,7 +157,7 @@ class Stage:
         return self
 
     def hears(self, identifier: int, *payload: int) -> Self:
-        """A damaged frame arrives, and passes for a whole one."""
+        """A damaged frame with a right checksum arrives."""
         data = bytes(payload)
         self.oracle.hears([(identifier, data + bytes([checksum(data)]))], self.now_s)
         return self
@@ -180,7 +173,7 @@ class Stage:
     # Scenes that several begin with.
 
     def accelerate(self, to_mps: float = 0.5) -> Self:
-        """Drive as the rules want it, from the parking brake on."""
+        """Drive by the rules, from the parking brake on."""
         ticks = range(1, round(to_mps / 0.008) + 2)
         self.tell(0.2).ask(to_mps).tell_each(min(to_mps, 0.008 * tick) for tick in ticks)
         return self.tell(0.5, to_mps)
@@ -190,28 +183,26 @@ class Stage:
         return self.tell_each(max(0.0, 0.49 - 0.012 * tick) for tick in range(ticks))
 
     def yields_twice(self) -> Self:
-        """A stop that is owed begins where no body frame came for 0.2 s, and yields to the remote control."""
+        """A stop that is owed begins without body frames for 0.2 s, and yields to the remote control."""
         self.tell(0.2, parking=1).plant(sticks=(0.0, 0.0)).tell(0.11, parking=1).silence(0.3)
         self.plant(silent=frozenset({BODY})).silence(0.21).tell(0.3, parking=1)
         return self.plant(silent=frozenset()).tell(0.1, parking=1).silence(0.5)
 
     def stop_latched(self) -> Self:
-        """A stop is latched, carried out and ended."""
         self.tell(0.2).request("stop").stops("remote_stop").tell(1.0, parking=1)
         return self.tell(0.5, gear=GEAR_N, parking=1, enabled=0).silence()
 
     def fails_parked(self, slope_deg: float = 5.0) -> Self:
-        """The parking brake fails before it was released: the rule on rolling applies it, and that is all."""
+        """The parking brake fails before it was released: the rule on rolling only applies it."""
         self.plant(brake_grip=0.0, slope_deg=slope_deg).tell(0.3, gear=GEAR_N, parking=1)
         return self.stops("rolling").disturb().tell(3.0, gear=GEAR_N, parking=1)
 
     def slips(self) -> Self:
-        """A brake that slips gives the robot back to its motor."""
         self.build(parks_motor=True).tell(0.5).plant(brake_grip=0.0, slope_deg=5.0).disturb()
         return self.tell(0.2, parking=1).stops("brake_slips")
 
     def given_back(self, after_s: float, hand: tuple[float, float] | None = None) -> Self:
-        """It is braked again so long after a brake that slips gave it back to its motor."""
+        """It is braked again so long after it was given back to its motor."""
         self.slips().tell(after_s).plant(hand=hand).tell(0.05).plant(hand=None)
         return self.tell(3.0, parking=1)
 

@@ -1,7 +1,4 @@
-"""Random scenarios, judged by the table "Command rules" of the design.
-
-Many more of them: ``python -m tests.system.scenarios --count 10000 --jobs 2``.
-"""
+"""Random scenarios, judged by the table "Command rules" of the design."""
 
 import pytest
 
@@ -14,7 +11,7 @@ RUN_AGAIN_EVERY = 10
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_random_scenario_breaks_no_rule(seed: int) -> None:
-    """Whatever the hill, the load, the operator and the faults: every command rule holds, and so does a re-run."""
+    """With any hill, load, operator and faults; its rerun is equal."""
     result = run(seed, runs_again=seed % RUN_AGAIN_EVERY == 0)
     again = f"again: python -m tests.system.scenarios --seed {seed} --trace"
     assert result.violations == [], "\n".join([again, *map(str, result.violations)])

@@ -1,4 +1,4 @@
-"""What is pinned, and what ``make`` installs of it."""
+"""What is pinned, and what ``make`` installs."""
 
 import re
 import tomllib
@@ -13,7 +13,7 @@ BLOCK = re.compile(r"^(\S.*?) \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+
 
 
 def pins(file: str) -> dict[str, tuple[Requirement, frozenset[str]]]:
-    """What a file pins, by name: the requirement, and the hashes. Nothing else may stand in it."""
+    """The pins of a file by name: requirement and hashes. The file may contain nothing else."""
     text = (ROOT / file).read_text("utf-8")
     rest = BLOCK.sub("", text)
     assert all(line.startswith("#") for line in rest.splitlines()), f"{file} has more than pins with hashes"
@@ -24,7 +24,7 @@ def pins(file: str) -> dict[str, tuple[Requirement, frozenset[str]]]:
 
 
 def wanted(*names: str) -> list[Requirement]:
-    """What pyproject.toml wants, by the name of an extra or a group; of the product itself for "product"."""
+    """The requirements of extras or groups of pyproject.toml; "product" is the product itself."""
     said = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     project = said["project"]
     lists = {"product": project["dependencies"], **project["optional-dependencies"], **said["dependency-groups"]}
@@ -40,7 +40,7 @@ def wanted(*names: str) -> list[Requirement]:
 
 @pytest.mark.parametrize("file", [RUN, ALL, TOOLS, READERS])
 def test_every_package_is_of_one_version_and_has_hashes(file: str) -> None:
-    """So that pip installs with --require-hashes."""
+    """For pip's --require-hashes."""
     pinned = pins(file)
     assert pinned
     for requirement, hashes in pinned.values():
@@ -59,7 +59,7 @@ def test_every_package_is_of_one_version_and_has_hashes(file: str) -> None:
     ],
 )
 def test_what_is_pinned_is_what_pyproject_wants(file: str, names: tuple[str, ...]) -> None:
-    """Each dependency, the backend that builds the package among them, within its bounds."""
+    """Each dependency and the build backend, within its bounds."""
     pinned = pins(file)
     for requirement in wanted(*names):
         pin = pinned[requirement.name.lower().replace("_", "-")][0]
@@ -68,7 +68,7 @@ def test_what_is_pinned_is_what_pyproject_wants(file: str, names: tuple[str, ...
 
 
 def test_a_package_has_one_version_and_the_same_hashes_in_all_files() -> None:
-    """What is tested is what runs, and the tools go into the environment of the development."""
+    """What is tested is what runs; tools go into the development environment."""
     everything, run, tools = pins(ALL), pins(RUN), pins(TOOLS)
     assert set(run) < set(everything)
     for part in (run, tools):
@@ -78,11 +78,7 @@ def test_a_package_has_one_version_and_the_same_hashes_in_all_files() -> None:
 
 
 def test_make_installs_nothing_that_has_no_hash() -> None:
-    """But the project itself, without its dependencies and without an environment for its build.
-
-    Clients in other languages are examples: what they need goes into their own directories, and runs no script of
-    its own when it is installed from npm.
-    """
+    """But the project itself, and the clients' own packages, whose install scripts do not run."""
     makefile = (ROOT / "Makefile").read_text("utf-8")
     variables = dict(re.findall(r"^(\w+) = (.*)$", makefile, flags=re.MULTILINE))
     assert variables["PINNED"].startswith("$(PIP) --require-hashes --only-binary :all: ")

@@ -1,6 +1,6 @@
-"""Alerts, their tests, the page that explains them, the dashboard and the exporter name the same things.
+"""Alerts, their tests and page, the dashboard and the exporter name the same things.
 
-That they are right PromQL, and fire when they should, is seen by ``make metrics-rules``.
+``make metrics-rules`` checks that they are PromQL and fire when they should.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ def alerts() -> list[str]:
 
 
 def expressions() -> str:
-    """The rules without what they say to people."""
+    """The rules without annotations."""
     return re.sub(r"^ +(annotations:|#|- alert:).*$|^#.*$", "", RULES.read_text("utf-8"), flags=re.MULTILINE)
 
 
 def served() -> dict[str, set[str]]:
-    """The labels of each metric that the exporter serves."""
+    """The labels of each metric of the exporter."""
     found: dict[str, set[str]] = {}
     for family in text_string_to_metric_families(full_exposition()):
         for sample in family.samples:
@@ -35,7 +35,7 @@ def served() -> dict[str, set[str]]:
 
 
 def test_every_alert_has_a_heading_on_the_page_and_every_heading_an_alert() -> None:
-    """In the same order, below the heading of the alerts."""
+    """In the same order."""
     page = (ROOT / "docs" / "operate.md").read_text("utf-8").partition("\n## Alerts\n")[2].partition("\n## ")[0]
     assert re.findall(r"^### (\w+)$", page, flags=re.MULTILINE) == alerts()
     assert len(alerts()) == len(set(alerts()))
@@ -50,7 +50,7 @@ def test_every_alert_is_tested() -> None:
 
 
 def test_every_metric_that_is_asked_for_is_served() -> None:
-    """By the rules, by their tests and by the dashboard; with the labels that they stand on."""
+    """By rules, their tests and the dashboard, with the labels that they use."""
     asked = names_in(expressions()) | names_in(" ".join(queries()))
     asked |= names_in((RULES.parent / "cruiser.rules.test.yml").read_text("utf-8"))
     assert len(asked) > 30
@@ -61,7 +61,7 @@ def test_every_metric_that_is_asked_for_is_served() -> None:
 
 
 def test_every_reason_that_a_rule_names_exists() -> None:
-    """One of another name would never fire."""
+    """Another would never fire."""
     named = {reason for text in re.findall(r'reason=~"([^"]+)"', expressions()) for reason in text.split("|")}
     assert named
     assert named <= {reason.value for reason in Reason}

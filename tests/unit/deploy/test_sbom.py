@@ -1,4 +1,4 @@
-"""The bill of materials: what the page of the desk brings along stands in it."""
+"""The bill of materials has the vendored scripts of the desk's page."""
 
 import runpy
 import shutil
@@ -12,7 +12,7 @@ VENDORED: Path = SBOM["VENDORED"]
 
 
 def test_scripts_of_others_are_named_with_version_licence_and_files() -> None:
-    """Each file that stands there belongs to one of them."""
+    """Each file belongs to one of them."""
     components = {one["name"]: one for one in SBOM["vendored"](VENDORED)}
     assert set(components) == {"uPlot", "@msgpack/msgpack"}
     assert {one["licenses"][0]["license"]["id"] for one in components.values()} == {"MIT", "ISC"}
@@ -22,7 +22,6 @@ def test_scripts_of_others_are_named_with_version_licence_and_files() -> None:
 
 
 def test_a_script_without_a_notice_is_an_error(tmp_path: Path) -> None:
-    """Nobody adds one, and forgets where it comes from."""
     place = tmp_path / "vendor"
     shutil.copytree(VENDORED, place)
     (place / "new.min.js").write_text("")

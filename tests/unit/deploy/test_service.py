@@ -1,4 +1,4 @@
-"""The systemd units and the image run commands that exist, with settings that do; the guard is left alone."""
+"""The systemd units and the image run existing commands with valid settings, and leave the guard alone."""
 
 import argparse
 import configparser
@@ -20,7 +20,7 @@ DEPLOY = Path(__file__).parents[3] / "deploy"
 
 
 def section(name: str) -> dict[str, str]:
-    """A unit's service section; names as systemd spells them."""
+    """A unit's service section, in systemd's spelling."""
     # Of a key that is given more than once this has the last.
     unit = configparser.ConfigParser(delimiters=["="], interpolation=None, strict=False)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
@@ -49,7 +49,7 @@ UNITS: dict[str, tuple[str, dict[str, object]]] = {
 
 @pytest.mark.parametrize("line", UNITS)
 def test_its_command_exists(line: str) -> None:
-    """With these flags; and all come back whatever ended them."""
+    """With these flags; and all restart whatever ended them."""
     unit, _, entry = line.partition(" ")
     command, said = UNITS[line]
     service = section(f"cruiser-{unit}.service")
@@ -67,7 +67,7 @@ def test_its_command_exists(line: str) -> None:
 
 
 def test_a_reload_begins_new_files_and_an_upload_comes_after_everybody_else() -> None:
-    """It reads the recorder's own directory, in which it may change one file."""
+    """It reads the recorder's directory, in which it may change one file."""
     recorder, unit = section("cruiser-recorder.service"), section("cruiser-upload.service")
     assert recorder["ExecReload"].split()[1:] == ["-HUP", "$MAINPID"]
     assert unit["ReadWritePaths"] == f"-{LOGS}/{NAME}"
@@ -75,33 +75,27 @@ def test_a_reload_begins_new_files_and_an_upload_comes_after_everybody_else() ->
 
 
 def test_the_guard_outlives_the_gateway(service: dict[str, str]) -> None:
-    """Only the main process is ever killed, and a halt has time for a guard at work and for a remote control.
-
-    'mixed' sends SIGKILL to all that is left once the main process is gone: to the guard, amid its stop.
-    """
+    """Only the main process is killed; 'mixed' would kill the guard amid its stop. A halt has time for both."""
     assert service["KillMode"] == "process"
     assert service["OOMPolicy"] == "continue"
     assert int(service["TimeoutStopSec"]) * 1e9 > 2 * HALT_YIELD_NS + 2 * HALT_LISTEN_NS + REST_TIMEOUT_NS
 
 
 def test_a_stop_by_the_guard_has_a_place_on_the_disk(service: dict[str, str]) -> None:
-    """Row 'latched, also across a restart': the gateway, the guard and the halt are told the same directory.
-
-    It lies apart from the recorder's, whose owner would be changed with it.
-    """
+    """Row 'latched, also across a restart': gateway, guard and halt share a directory, not the recorder's."""
     assert service["StateDirectory"] == "cruiser/gateway"
     assert int(service["LimitRTPRIO"]) >= Settings().gateway.realtime_priority + 1
 
 
 def test_a_gateway_that_hangs_is_begun_again_after_its_guard_has_acted(service: dict[str, str]) -> None:
-    """By the watchdog; a loop that is late for as long as floods have made it is not ended."""
+    """By the watchdog, which tolerates a loop as late as floods have made it."""
     assert (service["Type"], service["Restart"]) == ("notify", "always")
     assert int(service["WatchdogSec"]) * 1e9 > 50 * GUARD_LATE_NS + 5e9
     assert int(service["TimeoutAbortSec"]) < int(service["TimeoutStopSec"])
 
 
 def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> None:
-    """Before anything that a boot waits for, with nothing but Python; it has time for its watch and for a stop."""
+    """Before anything that a boot waits for, with Python alone, and with time for its watch and a stop."""
     early = section("cruiser-early-stop@.service")
     assert early["ExecStart"] == "/usr/bin/python3 -I -S -E /opt/cruiser/lib/early_stop.py %I"
     waits_ns = early_stop.APPEAR_S * 1e9 + early_stop.WATCH_NS + early_stop.GIVES_UP_NS
@@ -113,7 +107,7 @@ def test_the_early_stop_begins_with_the_boot_and_with_each_can_interface() -> No
 
 
 def test_the_desk_that_comes_along_is_for_this_machine_alone() -> None:
-    """Where nobody has given it a certificate; and what its comments offer is right, too."""
+    """Without a certificate; and the settings in its comments are valid."""
     file = DEPLOY / "etc/cruiser/desk.toml"
     desk = load_settings(str(file), {}, {}).desk
     assert (desk.listen, desk.certificate, desk.key, desk.names) == ("127.0.0.1:8080", "", "", [])
@@ -131,7 +125,7 @@ def test_the_desk_that_comes_along_is_for_this_machine_alone() -> None:
 
 
 def test_the_desk_may_read_the_logs_of_the_recorder() -> None:
-    """Whose files are its group's to read, and its keys nobody's but its own."""
+    """By its group; nobody else reads the desk's keys."""
     desk, recorder = section("cruiser-desk.service"), section("cruiser-recorder.service")
     assert (desk["SupplementaryGroups"], recorder["UMask"]) == (recorder["Group"], "0027")
     assert "d /etc/cruiser/recorder   0700 " in (DEPLOY / "tmpfiles.conf").read_text("utf-8")
@@ -139,7 +133,6 @@ def test_the_desk_may_read_the_logs_of_the_recorder() -> None:
 
 @pytest.mark.parametrize("file", sorted(DEPLOY.glob("etc/cruiser/*.toml")), ids=lambda file: file.name)
 def test_the_settings_that_come_along_are_right(file: Path) -> None:
-    """The product reads each."""
     load_settings(str(file), {}, {})
 
 
@@ -153,7 +146,7 @@ SERVICES = re.findall(
 
 
 def test_what_is_copied_is_in_the_tree_and_let_through() -> None:
-    """Each source of a COPY, from a context that has nothing else."""
+    """Each source of a COPY; the context has nothing else."""
     lines = (ROOT / ".dockerignore").read_text("utf-8").split()
     passes = [line.removeprefix("!") for line in lines if line.startswith("!")]
     sources = [
@@ -169,7 +162,7 @@ def test_what_is_copied_is_in_the_tree_and_let_through() -> None:
 
 
 def test_the_image_runs_as_nobody_special() -> None:
-    """From its last USER on; and it accepts no package whose hash is not written down."""
+    """From its last USER on; packages without a pinned hash are refused."""
     assert CONTAINERFILE.rpartition("USER ")[2].split()[0] == "cruiser"
     assert "--require-hashes --only-binary :all: --requirement constraints-run.txt" in CONTAINERFILE
     assert CONTAINERFILE.count("pip install") == 2
