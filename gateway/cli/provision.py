@@ -560,8 +560,8 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
 
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
-    if not (arguments.names or arguments.key or arguments.epoch):
-        raise CommandError("nothing to revoke: give NAME, --key or --epoch", ExitCode.USAGE)
+    if not (arguments.names or arguments.public_key or arguments.epoch):
+        raise CommandError("nothing to revoke: give NAME, --public-key or --epoch", ExitCode.USAGE)
     issuer = Issuer.open(store)
     issued, keys = issuer.issued(), list(arguments.public_key)
     revoked: list[str] = []
