@@ -1,11 +1,16 @@
 """The pages and the Makefile: links lead somewhere, named tests and places exist, the README is short."""
 
+import argparse
+import io
 import json
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Final
 
 import pytest
@@ -101,6 +106,47 @@ def test_the_index_of_the_documents_lists_every_page() -> None:
     docs = ROOT / "docs"
     linked = {target.partition("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", prose(docs / "README.md"))}
     assert {page.name for page in docs.glob("*.md")} - {"README.md"} - linked == set()
+
+
+def typed(text: str) -> list[str]:
+    """What stands after ``cruiser`` in a page's blocks and in its sentences."""
+    blocks = re.findall(r"^    (?:.* -- |sudo )?cruiser (.*(?:\n {8,}.*)*)$", text, flags=re.MULTILINE)
+    named = re.findall(r"`(?:sudo )?cruiser ([a-z][^`]*)`", text)
+    lines = [re.sub(r"\s+# .*", "", line) for line in (*blocks, *named)]
+    return [part for line in lines for part in line.split(" && cruiser ")]
+
+
+def refused(name: str, words: list[str]) -> str:
+    """What a command says of words that it does not take, its usage included."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--config")
+    parser.add_argument("--log-level")
+    resolve_name(COMMANDS[name][0]).add_arguments(parser)
+    says = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(says), suppress(SystemExit):
+        parser.parse_args(words)
+    return says.getvalue()
+
+
+@pages
+def test_every_command_of_a_page_exists_with_its_flags(page: Path) -> None:
+    """A name alone stands for the command, so words that it needs may be missing."""
+    if page.name == "CHANGELOG.md":
+        return  # it names what was
+    for line in typed(page.read_text("utf-8")):
+        name, *words = shlex.split(re.sub(r" [|]+ .*", "", re.sub(r"\bROBOT\b|\bN\b", "1", line)))
+        assert name in COMMANDS, line
+        if error := refused(name, words):
+            assert re.search("are required|expected one argument|'QUESTION'", error), (line, error)
+            assert [word for word in words if word.startswith("-") and word not in error] == [], (line, error)
+
+
+def test_commands_of_each_kind_are_found() -> None:
+    """As root, as a service's user, over several lines, in a sentence."""
+    text = (
+        "    sudo cruiser a\n    runuser -u x -- cruiser b  # c\n    cruiser d 'e\n            f'\n`cruiser g`\n"
+    )
+    assert typed(text) == ["a", "b", "d 'e\n            f'", "g"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
