@@ -30,8 +30,7 @@ MAINTAINER: Final = "Cruiser Gateway <root@localhost>"
 PROJECT: Final = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 
-EXTRAS: Final = "desk,metrics,upload"
-"""Of what pyproject.toml offers besides: services that are in the package. constraints-run.txt pins them."""
+EXTRAS: Final = "desk,metrics,upload"  # extras of the services in the package; constraints-run.txt pins them
 
 
 class Release(NamedTuple):
@@ -47,9 +46,8 @@ RELEASES: Final = {
     "noble": Release("ubuntu24.04", "3.12"),
 }
 
+# Architectures as wheels name them; all three releases have a newer C library than these tags need.
 MACHINES: Final = {"amd64": "x86_64", "arm64": "aarch64"}
-"""What wheels call an architecture. All three releases have a newer C library than any of these tags wants."""
-
 TAGS: Final = (
     "manylinux_2_34",
     "manylinux_2_28",
@@ -60,11 +58,11 @@ TAGS: Final = (
     "manylinux1",
 )
 
+# Besides Python: ip(8) for setup and doctor, kill(1) for a reload, users, directories and rules.
 DEPENDS: Final = ("iproute2", "libc6", "libgcc-s1", "procps", "systemd (>= 252)", "udev")
-"""Besides Python: ip(8) for setup and doctor, kill(1) for a reload, users, directories and rules."""
-
 RECOMMENDS: Final = ("can-utils", "chrony | time-daemon")
 
+# Destinations of files of deploy/; those under deploy/etc are the administrator's.
 PLACES: Final = {
     "*.service": "usr/lib/systemd/system/{name}",
     "sysusers.conf": "usr/lib/sysusers.d/cruiser.conf",
@@ -74,8 +72,6 @@ PLACES: Final = {
     "zenohd.conf": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
     "bench/*": f"usr/share/doc/{PACKAGE}/examples/{{name}}",
 }
-"""Where files of deploy/ go. Those under deploy/etc go where they stand, and are the administrator's."""
-
 COMMAND: Final = """\
 #!/opt/cruiser/bin/python
 import sys

@@ -23,11 +23,9 @@ BUILD = ROOT / "build"
 VENDORED = ROOT / "schemas" / "page" / "vendor"
 NOTICES = "LICENSES.txt"
 
+# Of the packages in VENDORED; their texts are in NOTICES.
 SCRIPT_LICENCES = {"uPlot": "MIT", "@msgpack/msgpack": "ISC"}
-"""Of the packages in VENDORED, whose texts are in NOTICES."""
-
-LICENCES = {"protobuf": "BSD-3-Clause"}
-"""Of packages whose metadata names none: as the file LICENSE inside of them says."""
+LICENCES = {"protobuf": "BSD-3-Clause"}  # of packages whose metadata names none, from their LICENSE file
 
 
 def main() -> None:

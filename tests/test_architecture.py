@@ -14,6 +14,7 @@ from tests.support.reach import imports, modules
 
 ROOT = Path(__file__).parent.parent
 
+# Folders with I/O: clocks, threads, the bus, Zenoh.
 WORLD = {
     "gateway.can",
     "gateway.host",
@@ -22,12 +23,9 @@ WORLD = {
     "recorder.view",
     "recorder.zenoh",
 }
-"""Rooms that touch the world: clocks, threads, the bus, Zenoh. Whoever adds one says so here."""
-
 PACKAGES = ("gateway", "recorder", "schemas")
 
-FRAMING = {"recorder.mcap.framing", "recorder.mcap.pieces"}
-"""Opcodes, record headers and checksums of MCAP files: for the room of the format alone."""
+FRAMING = {"recorder.mcap.framing", "recorder.mcap.pieces"}  # opcodes, record headers and checksums of MCAP files
 
 
 def contracts() -> dict[str, set[str]]:

@@ -32,9 +32,7 @@ WIDTH, HEIGHT = 1200, 1420
 DESK_WIDTH, DESK_HEIGHT = 1200, 760
 ROBOTS: Final = 4
 DRIVE: Final = ("drive", "cruiser-1", "--speed", "0.6", "--angle", "18", "--seconds", "600")
-DRIVEN_MS: Final = 10_000
-"""So long a robot has driven in the picture."""
-
+DRIVEN_MS: Final = 10_000  # how long the robot has driven in the picture
 DEADLINE_MS: Final = 300_000
 
 

@@ -36,6 +36,7 @@ from tests.bench import (
 )
 from tests.bench.loads import Row, print_table
 
+# Flags and their values: by default, so that all takes ten minutes, and with ``--short``.
 EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
     "seconds": (20.0, 1.0, "of each load"),
     "path_rounds": (15, 1, "paired, of a frame's cost by ours and others"),
@@ -66,8 +67,6 @@ EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
     "minutes": (1.0, 0.5, "of the logs that run again"),
     "driven": (tuple(review_rerun.DRIVES), tuple(review_rerun.DRIVES), "how their robots are driven"),
 }
-"""How much is measured, each a flag: by itself, so that all takes ten minutes; and with ``--short``."""
-
 BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "frame": lambda on: path_cost.rows(on.path_rounds),
     "loads": lambda on: loads.rows(on.seconds),
@@ -85,11 +84,11 @@ BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "review": lambda on: review_rate.rows(on.review_mb),
     "rerun": lambda on: review_rerun.rows(on.minutes, on.driven),
 }
+# Benches that run by their name alone.
 BY_NAME: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "kills": lambda on: recorder_kills.rows(on.recorder_kills),
     "latencies": lambda on: links.latency_rows(on.link_s),
 }
-"""Those that run by their name alone."""
 
 
 def main() -> None:

@@ -30,9 +30,7 @@ COMMAND: Final = f"{ROBOT}@cmd/bench/"
 DEADLINE_S: Final = 20.0
 SPEED_MPS: Final = 0.5
 SPEED_RAW: Final = 500
-ANGLES_DEG: Final = (0.0, 0.4)
-"""So near to each other that the arbiter goes from one to the other in a tick."""
-
+ANGLES_DEG: Final = (0.0, 0.4)  # so close that the arbiter changes from one to the other in a tick
 MIDDLE_RAW: Final = 2052
 _FINE: Final = load(Variant.FINE).messages
 STEERING_ID: Final = _FINE["Auto_SteeringCmd"].can_id

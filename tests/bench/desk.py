@@ -28,13 +28,12 @@ BROWSERS: Final = 10
 HELD_S: Final = 0.4
 TOLD_MAX_S: Final = 5.0
 
+# Notes the browser's pointer events, in ms since 1970.
 CLOCK: Final = """
 window.pressed = [];
 for (const kind of ["pointerdown", "pointerup"])
   addEventListener(kind, (event) => window.pressed.push([kind, performance.timeOrigin + event.timeStamp]), true);
 """
-"""Notes when the browser got the pointer, in ms since 1970."""
-
 FRAMES: Final = """(seconds) => new Promise((resolve) => {
   const times = [];
   const step = (now) => {

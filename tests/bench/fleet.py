@@ -34,8 +34,7 @@ from tests.support.waiting import wait_until
 
 ZENOHD: Final = os.environ.get("ZENOHD", "")
 
-SETTLE_S: Final = 1.5
-"""What is on its way when the load ends has come then, and is on the disk."""
+SETTLE_S: Final = 1.5  # until all that was sent is on the disk
 
 
 class FleetRun(msgspec.Struct, frozen=True, kw_only=True):

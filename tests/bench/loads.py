@@ -10,11 +10,9 @@ from typing import Final
 from tests.bench.processes import NOMINAL_FRAMES_PER_S, Load, quantile, run_load
 
 SATURATED_FRAMES_PER_S: Final = 7500
+# Name, frames/s, goal for the lateness of ticks in ms.
 LOADS = (("nominal", NOMINAL_FRAMES_PER_S, 2), ("saturated 1 Mbit/s", SATURATED_FRAMES_PER_S, 5))
-"""Name, frames/s, and the goal for the lateness of its ticks in ms."""
-
-Row = tuple[str, str, str]
-"""Figure, what was measured, goal."""
+Row = tuple[str, str, str]  # figure, measured, goal
 
 
 def rows(seconds: float, vcan: str = "") -> list[Row]:

@@ -15,13 +15,13 @@ from schemas.messages import Odometry, Variant
 from tests.bench.loads import Row
 from tests.support.rigs.gateway import ready
 
+# Parts of a trip: speed in m/s, steering angle in degrees, share of the time.
 TRIPS: Final = {
     "straight": [(1.5, 0.0, 1.0)],
     "circle": [(1.0, 18.0, 1.0)],
     "slalom": [(1.0, 15.0, 0.5), (1.0, -15.0, 0.5)],
     "back and forth": [(1.0, 10.0, 0.5), (0.0, 10.0, 0.2), (-1.0, -10.0, 0.5), (0.0, -10.0, 0.2)],
 }
-"""Parts of a trip: speed in m/s, steering angle in degrees, share of the time."""
 
 
 class Drift(msgspec.Struct, frozen=True):

@@ -24,11 +24,8 @@ from tests.support.messages import gear, key_of, sample_of
 from tests.support.waiting import wait_until
 
 PERIOD_S = 0.002
-ALIVE_S = (0.6, 1.8)
-"""A recorder is killed so long after its first sample, at random."""
-
-JOINING = 20
-"""On a busy machine Zenoh may leave out samples among the first that a new subscriber gets."""
+ALIVE_S = (0.6, 1.8)  # range of the time from a recorder's first sample to its kill
+JOINING = 20  # a new subscriber on a busy machine may miss some of the first samples
 
 
 class Kills(msgspec.Struct, frozen=True):

@@ -38,23 +38,15 @@ from tests.support.frames import STANDING, WALL_NS, Feedback
 ROOT: Final = "fleet"
 BUS: Final = "can0"
 
-SECONDS_OF_FRAMES: Final = 8
-"""After so many seconds every alive counter is where it began, so the same frames can follow themselves."""
-
+SECONDS_OF_FRAMES: Final = 8  # then every alive counter is where it began, and the frames repeat
 TICKS_PER_S: Final = 1_000_000_000 // TICK_NS
-SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S
-"""Ticks until a robot repeats itself."""
-
-STAGGER: Final = 10
-"""Robots tick at so many different instants of a tick: they know nothing of each other."""
-
+SLOTS: Final = SECONDS_OF_FRAMES * TICKS_PER_S  # ticks until a robot repeats itself
+STAGGER: Final = 10  # robots tick at so many different instants of a tick
 CONNECT_S: Final = 20.0
 
 _TIME_KEY: Final = b"\xa7time_ns"
 _SEQUENCE_KEY: Final = b"\xa8sequence"
-_STAMP: Final = struct.Struct(">8scQ9scI")
-"""Time and sequence in MessagePack's widest forms, whose size never changes."""
-
+_STAMP: Final = struct.Struct(">8scQ9scI")  # time and sequence in MessagePack's widest forms, of constant size
 _INT_BYTES: Final = {0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9}
 _MAP16: Final = 0xDE
 

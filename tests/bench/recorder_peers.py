@@ -38,11 +38,8 @@ from schemas.zenoh_session import close_session, open_session
 
 IDLE_S: Final = 0.005
 
-Write = Callable[[str, bytes, int], None]
-"""Takes a sample: its key, its payload, the time of receipt."""
-
-Add = Callable[[int, bytes, int, int], None]
-"""Takes a record of a channel: sequence, protobuf bytes, time of receipt, time of publication."""
+Write = Callable[[str, bytes, int], None]  # key, payload, receive time
+Add = Callable[[int, bytes, int, int], None]  # sequence, protobuf bytes, receive time, publish time
 
 
 def has_foxglove() -> bool:

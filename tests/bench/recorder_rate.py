@@ -20,12 +20,8 @@ from tests.bench.recorder_peers import WRITERS, has_foxglove
 from tests.bench.recorder_run import OURS, Run, run
 
 ROBOTS: Final = 10
-FAST_S: Final = 40
-"""What these robots say in so many seconds is a round."""
-
-HELD_LAG_S: Final = 0.5
-"""Whoever ends later than this behind the load did not hold it; whoever began a tick so late was no load."""
-
+FAST_S: Final = 40  # a round is what these robots publish in this time
+HELD_LAG_S: Final = 0.5  # the most by which a receiver may end after the load, and the load be late
 SEARCH_RUNS: Final = 7
 SEARCH_STEP: Final = 1.3
 SUSTAIN_SHARE: Final = 0.6

@@ -27,26 +27,15 @@ from tests.bench.recorder_load import Fed
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.usage import cpu_s, rss_bytes
 
-OURS: Final = "recorder"
-"""The receiver that is ``cruiser record``; the others are those of ``recorder_peers``."""
-
+OURS: Final = "recorder"  # ``cruiser record``; the others are in ``recorder_peers``
 QUEUE_SAMPLES: Final = 1_000_000
-QUEUE_BYTES: Final = 4_000_000_000
-"""What may wait at a receiver that is fed faster than it writes: all."""
-
+QUEUE_BYTES: Final = 4_000_000_000  # room for all that waits at a receiver
 BUSY_SHARE: Final = 0.2
-BUSY_WINDOW_S: Final = 0.02
-"""A receiver is at work while it uses so much of a core."""
-
-IDLE_S: Final = 0.5
-"""It has done when it was not for so long."""
-
+BUSY_WINDOW_S: Final = 0.02  # a receiver is busy while it uses this share of a core
+IDLE_S: Final = 0.5  # it has finished when it was idle for so long
 DRAIN_S: Final = 120.0
-MARGIN_S: Final = 60.0
-"""A run may take so much longer than its load: start, drain, end."""
-
-DRAIN_MIN_S: Final = 0.3
-"""Shorter, a drain tells nothing."""
+MARGIN_S: Final = 60.0  # added to the load's time for start, drain and end
+DRAIN_MIN_S: Final = 0.3  # a shorter drain is not measured
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -211,10 +200,8 @@ class _Watch:
     """Notes when a process was last busy, and its memory."""
 
     def __init__(self, pid: int) -> None:
-        self.busy_ns = 0
-        """When it was last at work, since 1970."""
-        self.rss_bytes: list[int] = []
-        """Each second."""
+        self.busy_ns = 0  # since 1970
+        self.rss_bytes: list[int] = []  # each second
         self._pid = pid
         self._proc = Path(f"/proc/{pid}")
         self._is_over = threading.Event()

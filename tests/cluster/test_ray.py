@@ -23,8 +23,8 @@ from tests.support.rigs.recorded import RecordedRig
 from tests.support.waiting import wait_until
 
 RAY = Path(os.environ["RAY_BIN"]).absolute()
+# For 127.0.0.1 Ray takes the machine's network address; the last node dies in a test.
 HEAD, NODE, MORTAL = "127.0.0.2", "127.0.0.3", "127.0.0.4"
-"""For 127.0.0.1 Ray takes the machine's address on its network. The last is the node that dies in a test."""
 LOGS = int(os.environ.get("RAY_LOGS", "10000"))
 ROBOTS = 20
 WITHIN_S = 120

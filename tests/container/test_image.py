@@ -35,12 +35,11 @@ STATE: Final = "/var/lib/cruiser"
 LOGS: Final = "/var/lib/cruiser/logs"
 
 TEXT: Final = (ROOT / "deploy" / "Containerfile").read_text("utf-8")
+# Instructions and their words of each stage; the first is the base image.
 STAGES: Final = [
     [line.partition(" ")[::2] for line in stage.replace("\\\n", " ").splitlines() if line and line[0].isupper()]
     for stage in re.split(r"^FROM ", TEXT, flags=re.MULTILINE)[1:]
 ]
-"""Instructions and their words, of each stage; the first is the base image."""
-
 COMPOSE: Final[dict[str, Any]] = yaml.safe_load((ROOT / "deploy" / "compose.yaml").read_text("utf-8"))
 SERVICES: Final[dict[str, dict[str, Any]]] = COMPOSE["services"]
 

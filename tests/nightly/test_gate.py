@@ -24,11 +24,8 @@ from tests.support.gate_domain import (
 pytestmark = pytest.mark.timeout(3600)
 
 SCALES = list(BIT_UMPS)
-RISES = {Variant.COARSE: 1, Variant.FINE: 16, Variant.UNKNOWN: 0}
-"""Bits that the speed may rise in a tick."""
-
-TURN = 15
-"""Bits that the angle may change in a tick."""
+RISES = {Variant.COARSE: 1, Variant.FINE: 16, Variant.UNKNOWN: 0}  # bits that the speed may rise in a tick
+TURN = 15  # bits that the angle may change in a tick
 
 
 @pytest.mark.parametrize("identifier", [STEERING, DRIVE])

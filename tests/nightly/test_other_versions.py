@@ -17,12 +17,8 @@ from tests.support.processes.recorder import counts
 from tests.support.waiting import wait_until
 
 ROOT = Path(__file__).parents[2]
-SAME_SCHEMAS = ["e0a066f", "9d2c088"]
-"""Commits; their logs are in tests/data/golden."""
-
-OTHER_STATE = "b0e9a3b"
-"""It has version 1 of SafetyState and of the request Drive."""
-
+SAME_SCHEMAS = ["e0a066f", "9d2c088"]  # commits; their logs are in tests/data/golden
+OTHER_STATE = "b0e9a3b"  # has version 1 of SafetyState and of the request Drive
 Tree = Callable[[str], Path]
 
 

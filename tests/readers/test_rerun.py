@@ -28,8 +28,7 @@ from tests.support.messages import WALL_NS, FakeSample, info, safety_event, samp
 
 TICKS = 200
 
-DRAWN = {"double", "float", "bool", "string", "int64", "uint32"}
-"""What a chart can be made of, as Arrow calls it."""
+DRAWN = {"double", "float", "bool", "string", "int64", "uint32"}  # Arrow types that a chart can show
 
 
 class Logged(msgspec.Struct, frozen=True):

@@ -22,8 +22,8 @@ DESK: Final = ("--logs-only", "--listen", "127.0.0.1:0")
 
 LAST_S: Final = 2
 
+# Protobuf types: double, float, int32, fixed32, uint32, sfixed32, sint32.
 NUMBERS: Final = frozenset({1, 2, 5, 7, 13, 15, 17})
-"""Types of protobuf's fields: double, float, int32, fixed32, uint32, sfixed32, sint32."""
 
 
 class _Quiet(SimpleHTTPRequestHandler):
@@ -49,8 +49,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-Read = dict[str, Any]
-"""The messages from a moment on, and the bytes that it took."""
+Read = dict[str, Any]  # the messages from a moment on, and the bytes that were read
 
 
 @pytest.fixture(scope="module")

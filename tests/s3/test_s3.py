@@ -58,8 +58,7 @@ SMALL = "cruiser-1-20270115T080000Z.mcap"
 LARGE = "cruiser-1-20270115T090000Z.mcap"
 INCIDENT = "cruiser-1-20270115T100000Z.incident.mcap"
 
-RATE = 40_000_000
-"""Nobody waits for it."""
+RATE = 40_000_000  # never the limit
 
 
 @pytest.fixture

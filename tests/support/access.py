@@ -36,11 +36,12 @@ VERB: Final = f"{R}/@cmd/ann/acquire"
 DRIVE: Final = f"{R}/@cmd/ann/drive"
 STOP: Final = f"{R}/@cmd/ann/stop"
 STOP_ALL: Final = "fleet/*/@cmd/ann/stop"
+# All robots with such a name: Zenoh's rules cannot tell a pattern from the names in it.
 STOP_MANY: Final = "fleet/c$*/@cmd/ann/stop"
-"""Of all robots whose name begins so: Zenoh's rules cannot tell a pattern from the names in it."""
 ORDER: Final = "fleet/@recorder/depot/@cmd/ann/mark"
 
 # A robot's certificate says that it is a robot, not which: forged telemetry of another shows in the signed chains.
+# Who may put on which key; ``PUTS_REACHED`` are those that a robot subscribes to.
 PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {
     DRIVE: COMMANDING,
     VERB: NOBODY,
@@ -62,10 +63,9 @@ PUTS: Final = {f"{R}/{name}": ROBOTS for name in TELEMETRY} | {
     STOP_ALL: COMMANDING,
     STOP_MANY: PEOPLE,
 }
-"""Who may put on which key; ``PUTS_REACHED`` are those of them that a robot subscribes to."""
-
 PUTS_REACHED: Final = {DRIVE, STOP, STOP_ALL, STOP_MANY}
 
+# Whose query on which key reaches the robot, and is answered.
 QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
     "fleet/*/gateway/info": PEOPLE | {RECORDER, OTHER},
     f"{R}/gateway/info": PEOPLE | {RECORDER, OTHER},
@@ -83,8 +83,7 @@ QUERIES: Final = {f"{R}/{name}": PEOPLE | {RECORDER} for name in KEPT} | {
     f"{R}/@auth": PEOPLE,
     "fleet/*/@auth": PEOPLE,
 }
-"""Whose query on which key reaches the robot, and is answered."""
-
+# Who receives anything under which subscription.
 SUBSCRIPTIONS: Final = {f"fleet/*/{name}": PEOPLE | {RECORDER} for name in TELEMETRY} | {
     f"{R}/chassis/*": PEOPLE | {RECORDER},
     "fleet/**": {RECORDER},
@@ -95,8 +94,7 @@ SUBSCRIPTIONS: Final = {f"fleet/*/{name}": PEOPLE | {RECORDER} for name in TELEM
     "fleet/*/@cmd/*/*": ROBOTS,
     "fleet/@recorder/*/health": PEOPLE | {RECORDER},
 }
-"""Who receives anything under which subscription."""
-
+# Whose replies on which key reach an operator.
 IMPOSTORS: Final = {
     f"{R}/gateway/info": ROBOTS,
     VERB: ROBOTS,
@@ -104,8 +102,7 @@ IMPOSTORS: Final = {
     f"{R}/@auth": ROBOTS,
     ORDER: {RECORDER},
 }
-"""Whose replies on which key reach an operator."""
-
+# Whose liveliness tokens are seen.
 TOKENS: Final = {
     "fleet/ghost/gateway": ROBOTS,
     "fleet/ghost/safety/event/@adv/pub/1/2/_": ROBOTS,
@@ -113,4 +110,3 @@ TOKENS: Final = {
     "fleet/ghost": NOBODY,
     "operators/ghost": NOBODY,
 }
-"""Whose liveliness tokens are seen."""

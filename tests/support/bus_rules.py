@@ -27,34 +27,24 @@ left; the alive counter, and the checksum (x).
 """
 
 GEAR, STEERING, DRIVE, BRAKING, PARKING, ODOMETER, LIGHT, SPEAKER = PICTURES
+# The speed first: a bus that accepts only a part still brings the robot to rest.
 BURST: Final = (DRIVE, GEAR, STEERING, BRAKING, PARKING)
-"""The speed goes first: a bus that accepts only a part of a burst still brings the robot to rest."""
-
+# After such a part, at zero speed, the parking brake gets through too.
 BRAKE_FIRST: Final = (DRIVE, PARKING, GEAR, STEERING, BRAKING)
-"""After such a part, and at zero speed: so that the parking brake gets through too."""
-
-GEARS: Final = {2: "R", 3: "N", 4: "D"}
-"""P, 1, is reserved; the others have no meaning."""
-
+GEARS: Final = {2: "R", 3: "N", 4: "D"}  # P, 1, is reserved; the others have no meaning
+# A bit of speed in the manual's section on target speed, and in its frame table.
 COARSE_UMPS, FINE_UMPS = 40_000, 1_000
-"""A bit of speed in the manual's section on target speed, and in its frame table; None: nobody knows which."""
-
-TOP_SPEED_UMPS: Final = 8_000_000_000 // 3_600
-"""8 km/h."""
-
+TOP_SPEED_UMPS: Final = 8_000_000_000 // 3_600  # 8 km/h
 TOP_ANGLE_UDEG: Final = 24_000_000
 ANGLE_BIT_UDEG: Final = 43_945
 ANGLE_OFFSET_UDEG: Final = -90_000_000
 
 MS: Final = 1_000_000
+# The greatest acceleration of the settings, 1.5 m/s2, for a tick of 10 ms; speeds are rounded to a bit.
 GAIN_UMPS: Final = 15_000
-"""The greatest acceleration that a setting permits, 1.5 m/s2, for a tick of 10 ms; speeds are rounded to a bit."""
-
+# 60 deg/s for a tick of 10 ms, each of the two angles rounded by up to a bit.
 TURN_UDEG: Final = 600_000 + 2 * ANGLE_BIT_UDEG
-"""60 deg/s for a tick of 10 ms, each of the two angles rounded by up to a bit."""
-
-Values = Mapping[str, int]
-"""Raw values of a frame's signals, by their letters."""
+Values = Mapping[str, int]  # raw values of a frame's signals, by their letters
 
 
 class Told(NamedTuple):

@@ -30,9 +30,7 @@ from tests.support.messages import (
     state,
 )
 
-STEP_NS = 10 * MS
-"""Between the messages of ``drive``."""
-
+STEP_NS = 10 * MS  # between the messages of ``drive``
 
 FRAMES = 5
 
@@ -79,10 +77,10 @@ def write_samples(path: Path, samples: Sequence[ReceivedSample], offset_ns: int 
     return path
 
 
+# Shown as it is, and without effect.
 HOSTILE: Final = (
     "</script><script>document.body.dataset.owned=1</script><img src=http://evil.test/x> <b>&amp; $x^2$ \u202e"
 )
-"""What must be shown as it is, and do nothing."""
 
 
 def drive_messages(periods: int = 200) -> list[Message]:

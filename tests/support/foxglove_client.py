@@ -17,9 +17,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 SUBPROTOCOL = Subprotocol("foxglove.sdk.v1")
-CLIENT_MESSAGE_DATA, SERVICE_CALL = 1, 2
-"""Opcodes of a client's frames: what it publishes, and what it calls."""
-
+CLIENT_MESSAGE_DATA, SERVICE_CALL = 1, 2  # opcodes of a client's frames: a published message, a call
 DEADLINE_S = 20.0
 
 

@@ -22,11 +22,8 @@ BIT_UMPS: Final = {
 
 ALL: Final = 31
 R, N, D = 2, 3, 4
-ANGLES: Final = range(1502, 2595)
-"""The 1,093 from -24 to 24 deg."""
-
-SPEEDS: Final = {Variant.COARSE: range(56), Variant.FINE: range(2223), Variant.UNKNOWN: range(1)}
-"""Those up to 8 km/h."""
+ANGLES: Final = range(1502, 2595)  # the 1,093 from -24 to 24 deg
+SPEEDS: Final = {Variant.COARSE: range(56), Variant.FINE: range(2223), Variant.UNKNOWN: range(1)}  # up to 8 km/h
 
 
 class Raw(NamedTuple):
@@ -48,9 +45,7 @@ class Burst(NamedTuple):
     told: Told
 
 
-Judge = Callable[[Burst, bool], bool]
-"""Whether a burst is admitted, as a stop or not."""
-
+Judge = Callable[[Burst, bool], bool]  # whether a burst is admitted, as a stop or not
 STOP, NO_STOP = True, False
 
 

@@ -28,26 +28,16 @@ from schemas.journal import COMMAND_RULES
 DIRECTORY: Final = Path(__file__).parents[1] / "data" / "golden"
 LOGS: Final = sorted(path.name for path in DIRECTORY.iterdir() if path.is_dir())
 
-MOST_BYTES: Final = 150_000
-"""Of a stored file of a log."""
-
-DIGITS: Final = 9
-"""So many digits of a figure count: the last ones hang on the order of a sum."""
-
-STOPS: Final = 3
-"""So many stops of a robot are asked about, besides its last one."""
-
+MOST_BYTES: Final = 150_000  # of a stored file of a log
+DIGITS: Final = 9  # significant digits of a figure; later ones depend on the order of a sum
+STOPS: Final = 3  # stops of a robot that are asked about, besides its last one
 LINE: Final = 110
 
 AUTHORITY: Final = "authority.json"
-DAMAGED: Final = "damaged"
-"""So begin the names of the logs that are recovered too."""
-
+DAMAGED: Final = "damaged"  # prefix of the logs that are recovered too
+# Words for people, each beside a fact that is compared.
 PROSE: Final = frozenset({"headline", "time", "detail", "cause", "changes"})
-"""Words for people, each beside a fact that is kept."""
-
-OWN: Final = frozenset({"version", "metadata"})
-"""Of the version that answers, or told once more elsewhere in the same answer."""
+OWN: Final = frozenset({"version", "metadata"})  # of the version that answers, or elsewhere in the same answer
 
 
 def unpack(name: str, directory: Path) -> list[str]:

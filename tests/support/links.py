@@ -46,5 +46,5 @@ LINKS = (
     LinkProfile("satellite", 0.3, jitter=0.1, loss=0.002, deadman_s=1.0),
 )
 
+# The link of the goal: at 0.5 m/s a robot hardly ever stops.
 FAR = LinkProfile("200 ms", 0.2, jitter=0.3, loss=0.01, deadman_s=1.0)
-"""The link of the goal: over it a robot that is asked for 0.5 m/s hardly ever stops."""

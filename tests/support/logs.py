@@ -58,8 +58,7 @@ class Log:
         self.context = LogContext()
         self.log = RobotLog(plan, self.context)
         self.disk = Disk()
-        self.done: list[Action] = []
-        """All actions, those on incidents included."""
+        self.done: list[Action] = []  # all actions, those on incidents included
         self._file: McapFile | None = None
 
     def receive(self, *samples: ReceivedSample, now_ns: int = 0, wall_ns: int = WALL_NS) -> list[Action]:
@@ -132,8 +131,7 @@ GEAR_TOPIC = "fleet/cruiser-1/chassis/gear"
 GEAR_CHANNEL = LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(Gear))
 ENCODE_GEAR = compile_encoder(Gear)
 
-Chunk = list[tuple[int, int, int, bytes]]
-"""Messages of a chunk: channel, sequence, log time, data. They are published when they are logged."""
+Chunk = list[tuple[int, int, int, bytes]]  # channel, sequence, log time (equal to the publish time), data
 
 
 def gear_message(sequence: int, log_ns: int, channel_id: int = 1) -> tuple[int, int, int, bytes]:

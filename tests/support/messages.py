@@ -48,11 +48,10 @@ ROBOT: Final = "cruiser-1"
 WALL_NS: Final = 1_800_000_000_000_000_000
 SECOND: Final = 1_000_000_000
 MS: Final = 1_000_000
-PERIOD_NS: Final = 50 * MS
-"""Between the messages of a series that are numbered by periods."""
-
+PERIOD_NS: Final = 50 * MS  # between the messages of a numbered series
 GEAR_FEEDBACK: Final = 0x18C4D1EF
 
+# A robot that drives.
 STATE: Final = RobotState(
     time_ns=1,
     sequence=0,
@@ -78,8 +77,7 @@ STATE: Final = RobotState(
     left_indicator=False,
     horn=False,
 )
-"""A robot that drives."""
-
+# An arbiter in standby, with a lease.
 STANDBY: Final = SafetyState(
     time_ns=1,
     sequence=0,
@@ -119,8 +117,7 @@ STANDBY: Final = SafetyState(
     brake_pedal_percent=0.0,
     parking=False,
 )
-"""An arbiter that stands by, with a lease."""
-
+# A gateway that is well.
 HEALTH: Final = GatewayHealth(
     time_ns=1,
     sequence=0,
@@ -160,7 +157,6 @@ HEALTH: Final = GatewayHealth(
     tick_lateness_worst_ms=0.4,
     cpu_percent=5.0,
 )
-"""A gateway that is well."""
 
 
 class FakeSample(msgspec.Struct, frozen=True):

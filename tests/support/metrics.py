@@ -26,6 +26,7 @@ RULES: Final = DEPLOY / "prometheus" / "cruiser.rules.yml"
 DASHBOARD: Final = DEPLOY / "grafana" / "cruiser.json"
 
 ENDS_NS: Final = 1_800_000_000_500_000_000
+# A message of each kind that has all its values.
 FULL: Final[tuple[Message, ...]] = (
     msgspec.structs.replace(
         HEALTH,
@@ -47,8 +48,6 @@ FULL: Final[tuple[Message, ...]] = (
     STATE,
     msgspec.structs.replace(recorder_health(), dropped={"disk": 4}),
 )
-"""A message of each kind that has all its values."""
-
 START_NS: Final = 10**12
 WALL_S: Final = 1_700_000_000.0
 

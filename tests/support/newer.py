@@ -13,15 +13,13 @@ from schemas.recording import RecorderReply
 from schemas.subjects import ALL_SUBJECTS, COMMANDS, Subject
 from tests.support.strategies import any_of, message_of
 
-NEW_WORD = "of_a_newer_version"
-"""No enumeration of this version has it."""
-
+NEW_WORD = "of_a_newer_version"  # no enumeration of this version has it
+# Every class that a reader receives from others.
 READ: tuple[type[msgspec.Struct], ...] = (
     *dict.fromkeys(subject.type for subject in ALL_SUBJECTS),
     *dict.fromkeys(command.reply for command in COMMANDS),
     RecorderReply,
 )
-"""Every class that a reader gets from somebody else."""
 
 
 def newer(encoding: str, by: int = 1) -> str:

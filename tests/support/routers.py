@@ -21,6 +21,7 @@ from tests.support.waiting import wait_until
 
 PROGRAM: Final = os.environ.get("ZENOHD", "")
 
+# All keys of nodes: no wildcard stands for a chunk with an @.
 EVERYTHING: Final = (
     "**",
     "fleet/*/@cmd/**",
@@ -28,8 +29,6 @@ EVERYTHING: Final = (
     "fleet/@recorder/**",
     "fleet/@recorder/*/@cmd/**",
 )
-"""Key expressions of all that nodes say to each other: no wildcard stands for a chunk with an @."""
-
 MESSAGES: Final = (
     *("put", "delete", "declare_subscriber", "query", "reply", "declare_queryable"),
     *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),

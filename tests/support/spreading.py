@@ -14,8 +14,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 SYSTEM: Final = "tests/system/"
 
-SHARED: Final = 'scope="module"'
-"""A fixture that is made once for all tests of a file."""
+SHARED: Final = 'scope="module"'  # marks a fixture that is made once for all tests of a file
 
 
 class Spreading(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist has no types

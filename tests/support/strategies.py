@@ -45,6 +45,7 @@ def _frames(draw: st.DrawFn) -> Frame:
 frames = _frames()
 
 
+# Signals that cannot have every value; physical or of the value table.
 PLAUSIBLE_VALUES = {
     "Angle": st.floats(-24.9, 24.9),
     "Speed": st.floats(0, 3),
@@ -53,7 +54,6 @@ PLAUSIBLE_VALUES = {
     "GearPosition": st.integers(1, 4),
     "Mode": st.integers(0, 2),
 }
-"""Of those signals of which not every value can be; physical or of the value table."""
 
 
 @st.composite
@@ -85,11 +85,11 @@ def identify(layout: MessageLayout) -> str:
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+# Any MessagePack value.
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
 )
-"""Whatever MessagePack can say."""
 
 
 def message_of(kind: type[Message]) -> st.SearchStrategy[Message]:

@@ -8,9 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
-SUMMARY: Final = re.compile(r"^=+ (\d+ \w+(?:, \d+ \w+)*) in [\d.]+s")
-"""The last line of a run."""
-
+SUMMARY: Final = re.compile(r"^=+ (\d+ \w+(?:, \d+ \w+)*) in [\d.]+s")  # the last line of a run
 FIRST: Final = ("failed", "errors", "passed", "skipped")
 
 

@@ -18,8 +18,8 @@ def _patient_gateways() -> Iterator[None]:
         yield
 
 
+# Modules that our processes import.
 FOREIGN_MODULES: Final = ("argparse", "gateway", "multiprocessing", "recorder")
-"""Names of modules that our processes import."""
 
 
 @pytest.fixture

@@ -28,17 +28,16 @@ ROOT: Final = Path(__file__).parents[2]
 PAGE: Final = ROOT / "docs" / "authority.md"
 TIMEOUT_S: Final = 60.0
 
+# Commands that run to the end, and their first output.
 STAYS: Final = {
     "cruiser router": r"listens on tls/127\.0\.0\.1",
     "cruiser gateway --config ~/.config/cruiser/robot.toml": "gateway: cruiser-1 listens on nothing",
 }
-"""What goes on to the end, and what shows that it works."""
-
+# Commands that run until Ctrl-C, and their output.
 REPEATS: Final = {
     "cruiser provision show revocations.statement --all --every 60": "cruiser-1: has it",
 }
-"""What goes on until Ctrl-C, and what shows that it works."""
-
+# Output of the other commands.
 SAYS: Final = {
     "cruiser list": "cruiser-1 +(?!offline)[a-z]",
     "cruiser stop cruiser-1": "cruiser-1: stops",
@@ -47,8 +46,6 @@ SAYS: Final = {
     "cruiser provision show robot-cruiser-1.bundle --robot cruiser-1": "cruiser-1: taken over",
     "cruiser provision show rotation.statement --all": "cruiser-1: taken over",
 }
-"""What is to be read in the output."""
-
 NOT_HERE: Final = {"cruiser drive cruiser-1": "wants somebody at the keys; tests/system has signed drives"}
 
 

@@ -16,11 +16,11 @@ from tests.support.rigs.recorded import RecordedRig
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "subscribe.py"}
+# Settings of a program for a robot at another endpoint.
 ELSEWHERE = """\
 from schemas.settings import Settings, ZenohSettings
 SETTINGS = Settings(zenoh=ZenohSettings(connect=["{endpoint}"]))
 """
-"""What a program says for a robot that is not where the default is."""
 
 
 def run(name: str, fake: FakeRobot) -> subprocess.CompletedProcess[str]:

@@ -21,6 +21,7 @@ ATTEMPTS: Final = 3
 
 pytestmark = pytest.mark.timeout(3 * TIMEOUT_S)
 
+# In this order: enrolled, refused, revoked.
 SEEN: Final = (
     "cruiser-1  ready",
     "no Zenoh node answered",
@@ -34,7 +35,6 @@ SEEN: Final = (
     "signed by archive, recorder",
     "all of it as it should be",
 )
-"""In this order: who is let in, refused and locked out."""
 
 
 @pytest.fixture

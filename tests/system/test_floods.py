@@ -19,8 +19,7 @@ from tests.support.waiting import wait_until
 IDLE = 150
 
 HUGE_BYTES = 60_000_000
-GROWS_BYTES = 30_000_000
-"""Half of one such message: whoever holds one of them grows by more."""
+GROWS_BYTES = 30_000_000  # half of one such message
 
 
 def peak_bytes(pid: int) -> int:

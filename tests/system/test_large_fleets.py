@@ -13,8 +13,7 @@ from tests.support.processes.busy import burning
 
 pytestmark = pytest.mark.night
 
-ENDS_S = 100
-"""Far beyond any timeout that is given here: what is still running then hangs."""
+ENDS_S = 100  # far beyond any timeout that is given here
 
 
 def cruiser(*words: str) -> subprocess.CompletedProcess[str]:

@@ -14,6 +14,7 @@ from tests.support.processes.gateway import chassis
 from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
 
+# Runs a command; notes the modules loaded when its loop is called, and imported until it ends.
 PROBE: Final = """
 import json, sys
 from importlib import import_module
@@ -38,8 +39,6 @@ def watched(*arguments):
 setattr(command, name, watched)
 sys.exit(main(words))
 """
-"""Runs a command, and notes what is loaded when its loop is called, and what is imported until that has ended."""
-
 REVIEW: Final = {"numpy", "duckdb", "pyarrow", "foxglove", "can", "recorder.review", "recorder.reading"}
 SIGNED: Final = {
     "cryptography",

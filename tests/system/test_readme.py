@@ -31,9 +31,7 @@ ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/install.md#Without the package")
 """In the order in which somebody reads them; of the last one section."""
 
-TIMEOUT_S: Final = 400.0
-"""The demo takes so long on a busy machine, where it begins again and again."""
-
+TIMEOUT_S: Final = 400.0  # on a busy machine the demo begins again and again
 ATTEMPTS: Final = 3
 
 
@@ -156,12 +154,12 @@ def test_the_chinese_page_has_no_command_of_its_own() -> None:
     assert shown <= set(COMMANDS)
 
 
+# Settings of a program for a robot at another endpoint.
 SETTINGS: Final = """\
 import os
 from gateway.cli.configuration_file import load_settings
 SETTINGS = load_settings(None, os.environ, {})
 """
-"""What a program says for a robot elsewhere."""
 
 
 class Terminal:

@@ -34,8 +34,7 @@ AGAIN: Final = "the gateway ends, and is started again with them"
 
 REFUSING: Final = {Reason.SELF_TEST, Reason.NO_LEASE, Reason.NOT_ENGAGED}
 
-Damage = Callable[[Any], None]
-"""A change to a Zenoh file."""
+Damage = Callable[[Any], None]  # changes a Zenoh file
 
 
 class Fleet(ProvisionedFleet):

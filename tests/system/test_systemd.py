@@ -8,12 +8,9 @@ import pytest
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 UNITS = sorted(path.name.replace("@.", "@can0.") for path in DEPLOY.glob("*.service"))
-EXPOSURE_MAX = 20
-"""Of systemd-analyze's hundred."""
-
+EXPOSURE_MAX = 20  # of systemd-analyze's hundred
+# Where the kernel schedules real-time by group, one unit with one of these takes it from all.
 BY_GROUP = ("CPUWeight", "CPUQuota", "StartupCPUWeight")
-"""Where the kernel schedules real-time by group, one unit with one of these takes it from all."""
-
 pytestmark = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="systemd-analyze is not here (Debian: systemd)"
 )

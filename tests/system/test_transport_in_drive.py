@@ -34,16 +34,11 @@ from tests.support.secured import Network
 from tests.support.signed_site import LIMIT_MPS, ROBOT, WANTED_MPS, Site, driving
 from tests.support.waiting import wait_until
 
-LIFE_S: Final = 25
-"""Of the certificate that ends: the drive begins within it, on a busy machine too."""
-
-BIT_MPS: Final = bus_rules.COARSE_UMPS / 1e6
-"""Of the virtual chassis."""
-
+LIFE_S: Final = 25  # of the certificate that expires; the drive begins within it, also on a busy machine
+BIT_MPS: Final = bus_rules.COARSE_UMPS / 1e6  # of the virtual chassis
 FLOODERS: Final = 3
-HANDSHAKES: Final = 120
-"""Of each flooder; one that is not answered within half a second is left open."""
-
+HANDSHAKES: Final = 120  # of each flooder; one without an answer within half a second stays open
+# Handshakes without a certificate, with garbage, and unfinished ones; 50 at a time.
 FLOODER: Final = """
 import os, socket, ssl, sys
 host, port, count = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
@@ -64,7 +59,6 @@ for number in range(count):
         opened.pop(0).close()
 print("done", flush=True)
 """
-"""Handshakes without a certificate, with garbage, and ones that are begun and left open; 50 at a time."""
 
 
 class Witness:

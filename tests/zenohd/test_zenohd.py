@@ -28,8 +28,7 @@ from tests.support.secured import Network
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
-ADMIN_SPACE: Final = "@/*/router/**"
-"""Where a router answers about itself: its configuration, its links."""
+ADMIN_SPACE: Final = "@/*/router/**"  # where a router answers about itself: configuration and links
 
 
 @pytest.fixture

@@ -20,17 +20,14 @@ from tests.support.messages import HEALTH, ROOT, STANDBY, STATE
 
 STOP = BY_VERB["stop"]
 STOPS = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
-LEASE_MS = 10_000
-"""A machine that is busy with a thousand robots must not lose the link to them."""
-
+LEASE_MS = 10_000  # a machine that is busy with a thousand robots must not lose the link to them
+# A robot that has received the stop and stands.
 PUBLISHED = (
     msgspec.structs.replace(STANDBY, latched=[Reason.REMOTE_STOP]),
     msgspec.structs.replace(STATE, speed_mps=0.0, rear_left_speed_mps=0.0, rear_right_speed_mps=0.0),
 )
-"""A robot that has heard the stop and stands."""
 PERIOD_S = 0.05
-ROUNDS = 40
-"""Different states, one after the other: two seconds, after which they come again."""
+ROUNDS = 40  # different states, two seconds long; then they repeat
 
 
 class FakeFleet:

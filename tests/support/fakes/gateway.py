@@ -21,8 +21,8 @@ class FakeGateway:
     listen: str = field(default_factory=free_endpoint)
     connect: str = ""
     token: bool = True
+    # Zenoh stores its last health for later subscribers, even after the gateway's death.
     caches_health: bool = False
-    """Zenoh keeps its last health and gives it to whoever asks for the history, whatever became of the gateway."""
 
     def __enter__(self) -> Self:
         connect = [self.connect] if self.connect else []

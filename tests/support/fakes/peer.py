@@ -13,8 +13,8 @@ from recorder.encoding.samples import ReceivedSample
 from schemas.settings import ZenohSettings
 from schemas.zenoh_session import session_settings
 
+# Below those that Linux assigns to clients: a restarted gateway finds its own free.
 PORTS: Final = range(10_000, 32_000)
-"""Ports below those that Linux gives to whoever connects: a gateway that starts again finds its own free."""
 
 
 def free_endpoint(protocol: str = "tcp") -> str:

@@ -58,8 +58,7 @@ class SlowDisk:
         self.goes_on = threading.Event()
         self.goes_on.set()
         self.fails = False
-        self.asked: list[int] = []
-        """The length of the file at each sync."""
+        self.asked: list[int] = []  # length of the file at each sync
         for name in ("fdatasync", "fsync"):
             monkeypatch.setattr(os, name, partial(self._sync, getattr(os, name)))
 
@@ -86,15 +85,13 @@ class MemoryWriter:
     """Writes the files of several logs into memory, and loses chunks on demand."""
 
     def __init__(self) -> None:
-        self.files: dict[str, list[MemoryFile]] = {}
-        """Of each log."""
+        self.files: dict[str, list[MemoryFile]] = {}  # of each log
         self.said: list[RecorderEvent | RecordGap] = []
         self.asked: list[Query] = []
         self.notices: list[Notice] = []
-        self.loses = False
-        """Chunks are lost, but for those of incidents."""
+        self.loses = False  # chunks are lost, but for those of incidents
+        # Messages lost, by topic and log time: a sample of many may lose a part.
         self.lost: Counter[tuple[str, int]] = Counter()
-        """How many messages of those there were, by topic and log time: a sample of many may lose a part."""
         self._prologues: dict[str, Prologue] = {}
         self._topics: dict[tuple[str, int], str] = {}
 

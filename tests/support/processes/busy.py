@@ -5,12 +5,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-BURNERS = 6
-"""Three for each processor of a small machine."""
-
-PATIENT_DEADMAN_S = 0.5
-"""A process may get no processor for a while: a robot waits for its operator as long as its settings allow."""
-
+BURNERS = 6  # three for each processor of a small machine
+PATIENT_DEADMAN_S = 0.5  # the most that settings allow, since a process may get no processor for a while
 BURN = "import time; end_s = time.monotonic() + 60\nwhile time.monotonic() < end_s: sum(range(100_000))"
 
 

@@ -23,9 +23,7 @@ from tests.support.waiting import wait_until
 
 ATTEMPTS = 5
 
-NAMES = ("chromium", "google-chrome")
-"""What a browser may be called. Another program is named by ``TEST_BROWSER``."""
-
+NAMES = ("chromium", "google-chrome")  # of browsers; ``TEST_BROWSER`` names another program
 FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",

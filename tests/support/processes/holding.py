@@ -8,6 +8,7 @@ from schemas.decisions import SafetyState
 from schemas.reasons import Reason
 from schemas.settings import DEADMAN_MAX_S
 
+# Reasons of a stop on a busy machine, after which the holder engages again.
 STARVED = {
     Reason.DEADMAN,
     Reason.GUARD,
@@ -17,13 +18,8 @@ STARVED = {
     Reason.UNGUARDED,
     Reason.NOT_CONFIRMED,
 }
-"""What stops a robot on a machine with other work; no other operator does it, and the holder engages again."""
-
-RESTING = {Reason.NOT_ENGAGED, Reason.GUARD}
-"""What may keep a robot from moving that its holder can engage."""
-
-LEASE_SEEN_S = 3.0
-"""The time from a reply with a lease until the robot's states must say so."""
+RESTING = {Reason.NOT_ENGAGED, Reason.GUARD}  # blocking reasons that the holder's engage removes
+LEASE_SEEN_S = 3.0  # from the reply with a lease until the robot's states must have it
 
 
 def hold(robot: Robot, lease: Lease, speed_mps: float) -> None:

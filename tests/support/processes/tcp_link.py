@@ -14,21 +14,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Final, Self
 
-CHUNK_BYTES: Final = 1400
-"""A packet: others get their turn behind it."""
-
-TURN_S: Final = 0.005
-"""The period in which packets are sent on: a busy machine gives no shorter one."""
-
-LATER_S: Final = 1e-5
-"""What is sent after something arrives after it: of calls for one time the event loop knows no order."""
-
-BURST_S: Final = 0.05
-"""After a pause no more is made up for than this time's."""
-
-RECEIVE_BYTES: Final = 8192
-"""The receive buffer towards the sender, which the system doubles: what waits shall wait at the sender."""
-
+CHUNK_BYTES: Final = 1400  # a packet: other connections get their turn behind it
+TURN_S: Final = 0.005  # the period in which packets are forwarded; a busy machine reaches no shorter one
+LATER_S: Final = 1e-5  # keeps the order: asyncio does not order calls for the same time
+BURST_S: Final = 0.05  # after a pause the rate makes up for this time at most
+RECEIVE_BYTES: Final = 8192  # towards the sender; the system doubles it, and the rest waits at the sender
 WIDE: Final = 1e9
 
 

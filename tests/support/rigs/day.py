@@ -19,13 +19,11 @@ from tests.support.rigs.recorded import RecordedRig
 
 DAY_TICKS = 3500
 MINUTE_TICKS = 6000
-QUIET_NS = 8_000_000_000
-"""The end of a day."""
+QUIET_NS = 8_000_000_000  # the end of a day
 RUN = 2**53 - 1
 STARTED_NS = 123_456_789_012_345
+# Not the defaults: a rerun without its configuration differs.
 COMMAND = CommandSettings(speed_limit_mps=1.5, deadman_s=0.25, lease_s=1.5)
-"""Not the start values: whoever runs the log again without its configuration gets something else."""
-
 FAULTS = (
     "silence Auto_GearFeedBack for 300ms",
     "silence all for 500ms",

@@ -23,8 +23,7 @@ S = 1_000_000_000
 DRIVING = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=1.0, parking=False)
 
 
-BURST = 8
-"""Frames of a burst at the beginning of a stop: the five, and those that end lamps, horn and odometer."""
+BURST = 8  # frames at the beginning of a stop: the five, and those that end lamps, horn and odometer
 
 
 class GuardRig:
@@ -173,5 +172,5 @@ class GuardRig:
         self.lines += self.guardian.take_lines()
 
 
+# Seconds; a fault of the chassis; knobs; anything else; several of them.
 Step = Union[float, str, dict[str, Any], Callable[[GuardRig], None], tuple["Step", ...]]  # noqa: UP007 - recursive
-"""Of a row of a table: seconds; a fault of the chassis; knobs; anything else; several of them."""

@@ -23,8 +23,7 @@ from tests.support.logs import Log
 from tests.support.messages import MS, ROBOT, SECOND, FakeSample, info, sample_of
 from tests.support.rigs.gateway import DRIVE_CAN_ID, GatewayRig, Operator, copied
 
-RECEIVED_NS = 2 * MS
-"""A recorder receives what is said so much later."""
+RECEIVED_NS = 2 * MS  # from publication to receipt by the recorder
 
 
 class RecordedRig(GatewayRig):

@@ -17,9 +17,7 @@ from schemas.recording import RecorderEvent, RecordGap
 from tests.support.fakes.recording import RECORDER_PLAN, MemoryFile, MemoryWriter
 from tests.support.messages import MS, ROOT, SECOND, WALL_NS, FakeSample, key_of
 
-OTHERS: Final = "others"
-"""The name of the log for what is no robot's."""
-
+OTHERS: Final = "others"  # the log for keys of no robot
 PLAN: Final = msgspec.structs.replace(
     RECORDER_PLAN,
     log=LogPlan(

@@ -11,12 +11,9 @@ from tests.system.scenarios.plant import BODY, DRIVE, PARKING, WHEELS, Build
 from tests.system.scenarios.rig import Leg
 from tests.system.scenarios.scenario import FOREVER_S, SHOWS_S, Act, Scenario
 
+# Standby, just engaged, setting off, driving, in a bend, in reverse, in the deadman's stop, parked by it.
 AT_S: Final = (0.8, 1.2, 1.9, 3.0, 4.4, 7.0, 8.1, 9.0)
-"""In standby, just engaged, setting off, driving, in a bend, in reverse, in the deadman's stop, parked by it."""
-
-LASTS_S: Final = 7.0
-"""It ends so long after the death."""
-
+LASTS_S: Final = 7.0  # from the death to the end
 DRIVE_OFF: Final = Scenario(
     seed=0,
     build=Build(),
@@ -40,9 +37,7 @@ DRIVE_OFF: Final = Scenario(
     hangs_s=FOREVER_S,
 )
 
-Turns = tuple[tuple[float, str, Any], ...]
-"""Knobs that are turned: when, counted from the death, which one, and to what."""
-
+Turns = tuple[tuple[float, str, Any], ...]  # knobs: when, counted from the death, which one, and its value
 BUILT_FINE: Final = Build(fine=True, stop_mode="coasts", payload_kg=80.0)
 
 CIRCUMSTANCES: Final[dict[str, tuple[dict[str, Any], Turns]]] = {

@@ -31,12 +31,8 @@ from tests.system.scenarios.plant import (
 
 FILE: Final = Path(__file__).parents[2] / "data" / "frozen" / "early_stops.txt"
 
-LAST_STEP: Final = 1400
-"""Seven seconds."""
-
-ROLLS_S: Final = 1.0
-"""So long it drives before its computer has come up again."""
-
+LAST_STEP: Final = 1400  # seven seconds
+ROLLS_S: Final = 1.0  # it drives for so long before its computer is up again
 COASTS: Final = Build(stop_mode="coasts", brake_delay_s=0.15)
 HEAVY: Final = Build(payload_kg=100.0, battery=0.6)
 

@@ -26,18 +26,14 @@ FILE: Final = Path(__file__).parents[2] / "data" / "frozen" / "scenarios.txt"
 
 SEEDS: Final = 500
 
+# Rows of the file: a seed, or time and circumstances of a gateway's death.
 NAMES: Final = (*map(str, range(SEEDS)), *DEATHS)
-"""Each is a row of the file: a seed, or the time and the circumstances in which a gateway dies."""
-
 HEARD: Final = ("feedback", "core", "guard", "replies")
+# The first word of each subject: removing a subject leaves the other hashes as they are.
 SAMPLES: Final = ("can", "chassis", "gateway", "journal", "safety", "state")
-"""The first word of each subject: samples of a subject that goes leave the hashes of the others as they are."""
-
 COLUMNS: Final = ("plan", *HEARD, *SAMPLES, "end")
 
-UNHASHED: Final = "chassis/odometry"
-"""It came when the rows were frozen, and has tests of its own: no decision depends on it."""
-
+UNHASHED: Final = "chassis/odometry"  # newer than the frozen rows, and tested elsewhere: no decision depends on it
 LEFT_OUT: Final = {"journal": ("rules", "inputs")}
 """Fields of a subject that no hash counts. Enter one here and freeze before it goes: its going changes nothing.
 

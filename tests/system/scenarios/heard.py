@@ -9,11 +9,8 @@ from tests.system.scenarios.plant import AUTO, BODY, DRIVE, REMOTE, WHEELS, CanF
 
 LATELY_S: Final = 0.15
 NEVER_S, NOT_YET_S = -9.0, 999.0
-MODE_UNKNOWN_S: Final = 0.2
-"""A mode that is so old may be unknown: ten periods of its frame, by the rule on silence."""
-
-MODE_KNOWN_S: Final = MODE_UNKNOWN_S + LATELY_S
-"""A mode that is so old must be."""
+MODE_UNKNOWN_S: Final = 0.2  # a mode of this age may be unknown: ten periods of its frame, by the rule on silence
+MODE_KNOWN_S: Final = MODE_UNKNOWN_S + LATELY_S  # a mode of this age must be unknown
 
 
 class Heard:

@@ -45,76 +45,44 @@ from tests.system.scenarios.plant import (
 
 TICK_S: Final = 0.01
 SEEING_S: Final = 0.15
-BELIEVED_MPS: Final = 3.0
-"""Speed feedback above this is not believed, so nothing can be concluded from it."""
-
+BELIEVED_MPS: Final = 3.0  # speed feedback above this is not believed
 STANDSTILL_MPS: Final = 0.05
-MOVES_MPS: Final = 0.1
-"""Seen to move for certain: the standstill bound and a coarse bit."""
-
-MOTOR_HOLDS_S: Final = 0.3
-"""A robot that was given back to its motor and is faster after this time is braked for good."""
-
+MOVES_MPS: Final = 0.1  # certainly seen to move: the standstill bound and a coarse bit
+MOTOR_HOLDS_S: Final = 0.3  # a robot given back to its motor that is faster after this time is braked for good
 ANGLE_BIT_DEG: Final = 0.044
-GUARD_BRAKE_S: Final = 1.0
-"""The guard knows a stop alone: while the robot slows down it waits so long at zero speed for it to stand."""
-
-PULSES_S: Final = 0.85
-"""Pulses of unknown length say this much later than the wheels' speeds which way the robot goes: in 17 frames."""
-
-PAUSE_S: Final = 0.1
-"""After a silence of this length a burst begins anew, and is not compared with the one before."""
-
-RETURNS_S: Final = 0.5
-"""From when the robot is back in the gateway's hands until its motion is judged again."""
-
+GUARD_BRAKE_S: Final = 1.0  # the guard waits so long at zero commanded speed for the robot to stand
+PULSES_S: Final = 0.85  # delay with which pulses of unknown length show the direction: 17 frames
+PAUSE_S: Final = 0.1  # after a silence of this length a burst is not compared with the one before
+RETURNS_S: Final = 0.5  # from the robot's return to the gateway until its motion is judged again
 GUARD_S: Final = 0.1
 RELEASE_M, STOP_M = 0.10, 0.30
 UNSTARTED_M: Final = 0.10
 UNTRUE_SPEED: Final = frozenset({"not_moving", "feedback_frozen"})
 LATCHING: Final = UNTRUE_SPEED | {"rolling", "remote_stop", "front_bumper", "rear_bumper", "implausible_speed"}
+# Commanded above the first and seen below the second; seen below the third while pulses or mileage count.
 TOLD_MPS, STANDS_MPS, FROZEN_MPS, FROZEN_TOLD_MPS = 0.3, 0.15, 0.05, 0.1
-"""Told over the first and seen under the second; seen under the third while pulses or mileage count."""
-
-GATHERS_MPS: Final = 0.06
-"""A robot that is faster by this than a second before is on its way, however slow it is."""
-
+GATHERS_MPS: Final = 0.06  # a robot faster by this than a second before is under way
+# Lead of a rising command over the seen speed: the greater of this and of so long a ramp.
 LEAD_MPS, LEAD_S = 0.5, 0.6
-"""So far a rising speed may be ahead of the one that is seen: the greater of this and of so long a ramp."""
-
+# The rise is that of 0.2 s, less two frames by which the seen speed may be old at either end.
 RUNAWAY_MPS, RUNAWAY_RISE_MPS, RISE_S = 0.3, 0.08, 0.16
-"""The rise is that of 0.2 s, less the two frames by which what is seen may be old at either end."""
-
-ABSURD_MPS: Final = 3.0
-"""The chassis drives 8 km/h at the most: what reads more than this is a fault of the reading."""
-
-YIELDS: Final = 10
-"""Bursts that may follow a takeover."""
-
+ABSURD_MPS: Final = 3.0  # the chassis drives 8 km/h at most: a higher reading is a fault
+YIELDS: Final = 10  # bursts that may follow a takeover
+# First frames of a burst; the second after one that went out in part.
 USUAL, BRAKE_FIRST = (DRIVE_CMD, GEAR_CMD), (DRIVE_CMD, PARKING_CMD)
-"""How the five of a burst begin; the second after one that went out in part."""
-
-LOOSE_S: Final = 1.0
-"""A latched robot does not stand so long without its parking brake while nothing is told."""
-
-STUCK_DEG: Final = 6.5
-"""5 deg, and what noise and a bit make of it."""
-
+LOOSE_S: Final = 1.0  # the longest that a latched robot stands without its parking brake and without commands
+STUCK_DEG: Final = 6.5  # 5 deg, with noise and a bit
 SLOW_STEERING_S: Final = 0.25
 
-LAGGING_S, LAGGING_MPS2 = 0.4, 0.8
-"""The slowest drive that a gateway has to allow for: its lag, and how fast it slows down."""
-
+LAGGING_S, LAGGING_MPS2 = 0.4, 0.8  # the slowest drive that a gateway has to allow for: its lag and deceleration
+# With a smaller margin the motor cannot follow the ramps down this hill, and a stop is justified.
 FOLLOWS_MPS2: Final = 0.3
-"""With less than this beyond the ramps the motor cannot follow them down this hill, and a stop is no false one."""
-
 PULSES_EVERY_S: Final = 0.05
+# Timers of what is judged only while the robot is commanded.
 SUPERVISION: Final = (
     *("roll1.0", "roll-1.0", "dies1.0", "dies-1.0", "stuck", "fast", "lateral", "drive", "brake"),
     *("stands", "frozen", "pulses", "mileage"),
 )
-"""Timers of what is judged only while the robot is commanded."""
-
 Fields = dict[str, Any]
 
 

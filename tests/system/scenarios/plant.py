@@ -21,29 +21,15 @@ TRACK_M: Final = 0.606
 TOP_SPEED_MPS: Final = 8 / 3.6
 STEERING_LIMIT_DEG: Final = 24.0
 
-MOTOR_N: Final = 650.0
-"""Drive force: climbs 20 deg empty (389 N) and 15 deg loaded (548 N), and cannot hold 20 deg loaded (725 N)."""
-
-ROLLING_MPS2: Final = 0.2
-"""Rolling resistance; from 1.2 deg on a robot in neutral rolls."""
-
-PARKING_MPS2: Final = 7.0
-"""Grip of the locked wheels. 20 deg need 3.4 m/s2."""
-
-BLOCKED_MPS2: Final = 30.0
-"""What holds the wheels is stronger than any motor."""
-
-PEDAL_MPS2: Final = 3.0
-"""Service brake at full pedal and a gain of 1."""
-
+MOTOR_N: Final = 650.0  # climbs 20 deg empty (389 N) and 15 deg loaded (548 N); cannot hold 20 deg loaded (725 N)
+ROLLING_MPS2: Final = 0.2  # from 1.2 deg on a robot in neutral rolls
+PARKING_MPS2: Final = 7.0  # grip of the locked wheels; 20 deg need 3.4 m/s2
+BLOCKED_MPS2: Final = 30.0  # stronger than any motor
+PEDAL_MPS2: Final = 3.0  # service brake at full pedal and a gain of 1
 MOTOR_UP_MPS2, MOTOR_DOWN_MPS2 = 1.5, 2.5
 STEERING_RATE_DEGPS: Final = 90.0
-SHIFT_MPS: Final = 0.1
-"""The gear of the other direction engages below this speed; until then the chassis is in neutral."""
-
-HAND_NPM: Final = 4000.0
-"""Who pushes the robot at a speed presses with this force for each m/s that it lacks, up to a limit."""
-
+SHIFT_MPS: Final = 0.1  # the other direction's gear engages below this speed; until then neutral
+HAND_NPM: Final = 4000.0  # force of a push per m/s below its speed
 GEAR_P, GEAR_R, GEAR_N, GEAR_D = 1, 2, 3, 4
 AUTO, REMOTE, STOP = 0, 1, 2
 

@@ -34,8 +34,7 @@ UNLEASED: Final = frozenset({"acquire", "take", "stop"})
 
 LEASE_LOST: Final = frozenset({"no_lease", "lease_expired", "lease_taken", "lease_released"})
 
-CHECKSUM_FAULTS: Final = 5
-"""So many damaged frames of one identifier within a second are a cause to stop by the rules."""
+CHECKSUM_FAULTS: Final = 5  # damaged frames of one identifier within a second that justify a stop
 
 
 class Gateway:

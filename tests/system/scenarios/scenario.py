@@ -30,17 +30,11 @@ from tests.system.scenarios.plant import (
 )
 from tests.system.scenarios.rig import Bus, Gateway, Guard, Leg, Operator, Rig
 
-SCRIPT_S: Final = 18.0
-"""How long the operator's script is; engaging comes before it, and coming to rest after it."""
-
+SCRIPT_S: Final = 18.0  # length of the operator's script, without engaging and coming to rest
 LIMIT_S: Final = 30.0
 FOREVER_S: Final = 99.0
-SHOWS_S: Final = 3.0
-"""A disturbance that has ended may still show in a stop for this long."""
-
-DAMAGE_SHOWS_S: Final = 0.1
-"""A damaged frame counts as a cause for this long."""
-
+SHOWS_S: Final = 3.0  # a disturbance that has ended may still show in a stop for this long
+DAMAGE_SHOWS_S: Final = 0.1  # a damaged frame counts as a cause for this long
 LOSS, CORRUPTION = 0.01, 0.001
 
 ALL_FEEDBACK: Final = frozenset(PERIOD_STEPS)
@@ -259,6 +253,7 @@ def _losses(random: Random) -> list[Act]:
     return [Act(0, "loss", random.uniform(0.2, 1.0), lasts_s + SHOWS_S), Act(lasts_s, "loss", 0.0)]
 
 
+# Moments that an act may wait for.
 MOMENTS: Final[dict[str, Callable[[Plant], bool]]] = {
     "": lambda _: True,
     "released": lambda plant: plant.mode == AUTO and not plant.braked and not plant.speed_mps,
@@ -266,8 +261,6 @@ MOMENTS: Final[dict[str, Callable[[Plant], bool]]] = {
     "downhill": lambda plant: plant.speed_mps * plant.load_mps2 < 0 and abs(plant.slope_deg) > 5,
     "braked": lambda plant: plant.mode == AUTO and plant.braked and not plant.speed_mps,
 }
-"""Moments that an act may wait for."""
-
 DISTURBANCES: Final[dict[str, Callable[[Random], list[Act]]]] = {
     "slope": _slope,
     "motor": _motor,

@@ -14,8 +14,8 @@ from tests.system.scenarios.scenario import FOREVER_S, Act, Play, Result, Scenar
 ALL: Final = frozenset(PERIOD_STEPS)
 SPEED: Final = frozenset({DRIVE, WHEELS})
 FULL_MPS: Final = 2.222
+# Before the first speed, amid the ramp, after it, and as the next one begins.
 STANDS_S, UNDER_WAY_S, FAST_S, LETS_GO_S = 1.0, 3.3, 6.0, 7.9
-"""Before the first speed is asked, in the midst of the ramp, after it, and as the next one begins."""
 
 
 def aimed(
