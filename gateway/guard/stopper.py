@@ -225,7 +225,8 @@ class Stopper:
         self._before = copy(self._sequence)
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
         if actuation is None:
-            return self._end(STANDS if stands else UNSEEN)
+            self.give_up(STANDS if stands else UNSEEN)
+            return []
         frames = self._maker.make(
             actuation, list(self._last) if self._bursts_off < OFF_BURSTS else [], self._variant
         )
@@ -274,7 +275,7 @@ class Stopper:
             return False
         commander_ns = self._view.commander_ns
         if commander_ns is not None and commander_ns - self._paused_ns > GUARD_SILENT_NS:
-            self._end(OTHER)
+            self.give_up(OTHER)
             return True
         if mode not in {Mode.AUTO, Mode.STOP}:
             return True
@@ -353,7 +354,8 @@ class Stopper:
 
     def give_up(self, outcome: str) -> None:
         """Send nothing more."""
-        self._end(outcome)
+        self.is_over = True
+        self.outcome = outcome
 
     @property
     def stays(self) -> bool:
@@ -387,11 +389,6 @@ class Stopper:
             angle_deg=_clamped(last.angle_deg, -top_deg, top_deg),
             parking=last.parking,
         )
-
-    def _end(self, outcome: str) -> list[Frame]:
-        self.is_over = True
-        self.outcome = outcome
-        return []
 
 
 def _lower(told_mps: float, slowest_mps: float) -> float:

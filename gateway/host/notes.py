@@ -26,9 +26,6 @@ from schemas.command_line import plain
 from schemas.reasons import Reason
 from schemas.settings import MILEAGE_DIFFERS_KM, Settings
 
-AUTO: Final = "auto"
-
-
 WRITE_TIMEOUT_S: Final = 2.0
 """The longest wait of a gateway that ends for a disk that stalls."""
 
@@ -39,7 +36,7 @@ def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None
     Auto is ``$STATE_DIRECTORY``, which systemd sets, else ``$XDG_STATE_HOME/cruiser``, else
     ``~/.local/state/cruiser``.
     """
-    if setting != AUTO:
+    if setting != "auto":
         return Path(setting) if setting else None
     given = environment.get("STATE_DIRECTORY", "").partition(":")[0]
     if given:
@@ -116,7 +113,7 @@ class Aside(Generic[Value]):
             self._write(value)
 
 
-class _Note:
+class Note:
     """A file of one robot in ``gateway.state_dir``.
 
     Attributes:
@@ -135,7 +132,7 @@ class _Note:
         robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
         return cls(None if directory is None else directory / f"{robot}.{cls.ENDING}")
 
-    def _remove(self) -> None:
+    def remove(self) -> None:
         """Remove the file, if it is there. Raises OSError."""
         if self.path is not None:
             with suppress(FileNotFoundError):
@@ -153,7 +150,7 @@ CLEAR_TIMEOUT_S: Final = 1.0
 """The longest wait of a gateway that ends for a disk that stalls; a note that stays latches once more."""
 
 
-class StopNote(_Note):
+class StopNote(Note):
     """A stop by the guard or by a halt. Everything here may block for as long as the disk does."""
 
     ENDING = "guard-stop"
@@ -222,10 +219,6 @@ class StopNote(_Note):
             is_full = os.fstat(descriptor).st_size + len(content) > STOP_NOTE_MAX_BYTES
             _write_all(descriptor, b"" if is_full else content)
 
-    def clear(self) -> None:
-        """Remove the note: it was reset. Raises OSError: it cannot be removed."""
-        self._remove()
-
 
 class NoteWriter(Aside[str]):
     """Writes lines of a stop's note; the one line that says why another could not be written is a complaint."""
@@ -260,7 +253,7 @@ class NoteClearer:
 
     def _clear(self, _is_reset: bool) -> None:  # noqa: FBT001 - any value
         try:
-            self._note.clear()
+            self._note.remove()
         except OSError as error:
             log.warning("the note %s cannot be removed: %s", self._note.path, error.strerror)
 
@@ -286,7 +279,7 @@ LATCH_NOTE_MAX_BYTES: Final = 65_536
 """A longer file is no note of ours."""
 
 
-class LatchNote(_Note):
+class LatchNote(Note):
     """The latches in force, written aside."""
 
     ENDING = "latched.json"
@@ -337,12 +330,12 @@ class LatchNote(_Note):
 
     def _write(self, latched: dict[str, str]) -> None:
         if not latched:
-            self._remove()
+            self.remove()
         elif self.path is not None:
             write_whole(self.path, msgspec.json.encode(latched))
 
 
-class RunNote(_Note):
+class RunNote(Note):
     """A file that is there while the gateway runs, so that the next one knows how this one ended."""
 
     ENDING = "running"
@@ -361,7 +354,7 @@ class RunNote(_Note):
     def end(self) -> None:
         """Remove it: the gateway ends in order."""
         with suppress(OSError):
-            self._remove()
+            self.remove()
 
 
 STEP_KM: Final = 0.1
@@ -370,7 +363,7 @@ STEP_KM: Final = 0.1
 MILEAGE_NOTE_MAX_BYTES: Final = 256
 
 
-class MileageNote(_Note):
+class MileageNote(Note):
     """The total mileage, read at the start, and written aside. A file that is missing or damaged says nothing."""
 
     ENDING = "mileage.json"
@@ -399,8 +392,11 @@ class MileageNote(_Note):
         )
 
     def _write(self, mileage_km: float) -> None:
-        if self.path is not None:
-            _write_mileage(self.path, mileage_km)
+        try:
+            if self.path is not None:
+                write_whole(self.path, msgspec.json.encode(mileage_km))
+        except OSError as error:
+            log.warning("the mileage cannot be noted: %s: %s", self.path, error.strerror)
 
 
 def _read(path: Path) -> float | None:
@@ -409,10 +405,3 @@ def _read(path: Path) -> float | None:
             return msgspec.json.decode(file.read(MILEAGE_NOTE_MAX_BYTES), type=float)
     except (OSError, ValueError):
         return None
-
-
-def _write_mileage(path: Path, mileage_km: float) -> None:
-    try:
-        write_whole(path, msgspec.json.encode(mileage_km))
-    except OSError as error:
-        log.warning("the mileage cannot be noted: %s: %s", path, error.strerror)

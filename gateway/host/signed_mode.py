@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import logging
 import os
-import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import msgspec
 
@@ -22,7 +20,7 @@ from gateway.authority.admission import SignedAdmission, StatementSieve
 from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor, resume
 from gateway.authority.session import RobotSigner
 from gateway.core import Core
-from gateway.host.notes import state_directory, write_whole
+from gateway.host.notes import Aside, Note, write_whole
 from gateway.provisioning.key_files import RENEW_S, certificate_ends_s
 from schemas.authority.key_files import AUTHORITY_FILE, GRANT_FILE, directory_of, read_identity, renewed
 from schemas.authority.proof import GrantRole, Signed, read_chain
@@ -37,27 +35,20 @@ CURE: Final = (
     "('cruiser provision show'), and each rotation since the robot was provisioned"
 )
 
-WRITE_TIMEOUT_S: Final = 2.0  # the longest wait of a gateway that ends for a disk that stalls
 
-
-class AuthorityNote:
-    """The file, written by a thread of its own: a disk that stalls must not hold up the loop.
+class AuthorityNote(Note):
+    """Statements of the authority that must outlive a restart.
 
     Attributes:
-        path: of the file; None if there is no directory for it.
-        report: is given, on that thread, why the file could not be written; empty once it was.
+        report: called on the writer's thread with the reason why the file could not be written; empty once it was.
     """
 
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-        self.report: Callable[[str], None] = lambda _: None
-        self._kept: SimpleQueue[Kept | None] = SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="authority-note", daemon=True)
-        self._thread.start()
+    ENDING = "authority.json"
 
-    @classmethod
-    def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        return cls(note_path(settings, environment))
+    def __init__(self, path: Path | None) -> None:
+        super().__init__(path)
+        self.report: Callable[[str], None] = lambda _: None
+        self._aside = Aside("authority-note", self._store)
 
     def read(self) -> Kept | str:
         """Return the statements as saved last, none if there is no file; or why it cannot be read, in words."""
@@ -74,34 +65,20 @@ class AuthorityNote:
             return f"{self.path} is damaged, and so is what was revoked: {error}; {CURE}"
 
     def save(self, kept: Kept) -> None:
-        self._kept.put(kept)
+        self._aside.add(kept)
 
     def close(self) -> None:
-        """Wait until all is written, or until the disk has had its time."""
-        self._kept.put(None)
-        self._thread.join(WRITE_TIMEOUT_S)
+        self._aside.close()
 
-    def _run(self) -> None:
-        while (kept := self._kept.get()) is not None:
-            fault = ""
-            try:
-                self._write(kept)
-            except OSError as error:
-                fault = f"{self.path} cannot be written: {error.strerror}"
-                log.warning("%s", fault)
-            self.report(fault)
-
-    def _write(self, kept: Kept) -> None:
-        if self.path is None:
-            return
-        write_whole(self.path, msgspec.json.encode(kept))
-
-
-def note_path(settings: Settings, environment: Mapping[str, str]) -> Path | None:
-    """Where the file of the robot that the settings name is; None if there is no directory for it."""
-    directory = state_directory(settings.gateway.state_dir, environment)
-    robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
-    return None if directory is None else directory / f"{robot}.authority.json"
+    def _store(self, kept: Kept) -> None:
+        fault = ""
+        try:
+            if self.path is not None:
+                write_whole(self.path, msgspec.json.encode(kept))
+        except OSError as error:
+            fault = f"{self.path} cannot be written: {error.strerror}"
+            log.warning("%s", fault)
+        self.report(fault)
 
 
 BOOT_BYTES: Final = 8

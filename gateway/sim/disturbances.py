@@ -357,16 +357,6 @@ class Disturbances:
         return not self._active
 
     @property
-    def front_bumper(self) -> bool:
-        """The front bumper is hit."""
-        return self._is_hit("front")
-
-    @property
-    def rear_bumper(self) -> bool:
-        """The rear bumper is hit."""
-        return self._is_hit("rear")
-
-    @property
     def remote(self) -> bool:
         """The remote control's SA switch is on remote."""
         return ("transmitter", "") in self._active
@@ -418,7 +408,8 @@ class Disturbances:
                 active.next_ns = now_ns
             self._active[fault.kind, target] = active
 
-    def _is_hit(self, side: str) -> bool:
+    def is_hit(self, side: str) -> bool:
+        """The bumper of this side is hit now."""
         contact = self._value(Contact, "bumper", side)
         if contact is None:
             return False

@@ -102,7 +102,7 @@ def _data(row: _Row, encoder: Encoder, values: Values, disturbances: Disturbance
     return b"" if disturbances.strike(Disturbance.DROP, row.name) else data
 
 
-_FIVE: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
+_MOTION: Final = ("Auto_GearCmd", "Auto_SteeringCmd", "Auto_DriveCmd", "Auto_BrakingCmd", "Auto_ParkingCmd")
 """Auto mode needs the enable of each."""
 
 _LAMPS: Final = ("Headlamp", "RightIndicator", "LeftIndicator")
@@ -258,7 +258,7 @@ class VirtualChassis:
         if self._disturbances.remote:
             self._mode = Mode.REMOTE
             return self._remote_demand()
-        if all(self._flag(name, "Enable") for name in _FIVE):
+        if all(self._flag(name, "Enable") for name in _MOTION):
             self._mode = Mode.AUTO
             return self._auto_demand()
         self._mode = Mode.STOP
@@ -381,8 +381,8 @@ class VirtualChassis:
         return {
             "Valid": True,
             "TotalMileage": mileage_km,
-            "FrontBumper": self._disturbances.front_bumper,
-            "RearBumper": self._disturbances.rear_bumper,
+            "FrontBumper": self._disturbances.is_hit("front"),
+            "RearBumper": self._disturbances.is_hit("rear"),
             "Mode": self._mode.value,
         }
 

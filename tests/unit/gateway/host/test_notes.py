@@ -202,7 +202,7 @@ def test_without_a_directory_nothing_is_kept() -> None:
     latched.follow(STOPPED)
     latched.close()
     assert (off.read(), LatchNote.of(settings).read(), RunNote.of(settings).begin()) == ("", {}, False)
-    off.clear()
+    off.remove()
 
 
 STOPPED = {Reason.REMOTE_STOP: "by ann", Reason.FRONT_BUMPER: ""}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import secrets
 import time
 from pathlib import Path
@@ -14,7 +13,7 @@ from gateway.authority.robot_authority import Kept
 from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
-from gateway.host.signed_mode import WAITS, Renewal, SignedMode, note_path
+from gateway.host.signed_mode import WAITS, AuthorityNote, Renewal, SignedMode
 from gateway.provisioning.key_files import expires_s, read_certificates
 from schemas.authority.proof import Grant, chain_text
 from schemas.command_line import CommandError
@@ -50,10 +49,9 @@ def settings_of(fleet: ProvisionedFleet, name: str = "cruiser-1") -> Settings:
 
 def noted(fleet: ProvisionedFleet, kept: Kept) -> None:
     """The robot's note holds this."""
-    note = note_path(settings_of(fleet), os.environ)
-    assert note is not None
-    note.parent.mkdir(parents=True)
-    note.write_bytes(msgspec.json.encode(kept))
+    note = AuthorityNote.of(settings_of(fleet))
+    note.save(kept)
+    note.close()
 
 
 def renewed(fleet: ProvisionedFleet, days: str) -> Path:
