@@ -1,10 +1,10 @@
-"""A CAN bus by the kernel's SocketCAN, by socketcand, or by a driver, with one exception for its loss.
+"""A CAN bus by SocketCAN, by socketcand, or by a driver, with one exception for its loss.
 
-SocketCAN and socketcand are spoken here. python-can opens every other interface (``gateway.can.python_can``): it
-takes 6 MiB of memory, and a third of a process's start.
+SocketCAN and socketcand are implemented here. python-can opens every other interface (``gateway.can.python_can``):
+it takes 6 MiB of memory, and a third of a process's start.
 
-A bus of the kernel's has the kernel's receive times, tells what it dropped, and reads only the identifiers that
-were asked for. Frames are as linux/can.h lays them out.
+SocketCAN gives the kernel's receive times and drop counts, and filters by identifier. Frames are laid out as in
+linux/can.h.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ _READ_BYTES: Final = 4096
 
 
 class SocketcandBus:
-    """A bus that a server shows over TCP."""
+    """A bus served over TCP."""
 
     def __init__(self, host: str, port: int, channel: str) -> None:
-        """Connect, and open the bus. Raises OSError: there is no server, or it does not answer, or otherwise."""
+        """Connect, and open the bus. Raises OSError: there is no server, or it does not answer as expected."""
         try:
             self.stream = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
         except (OSError, UnicodeError) as error:  # A host name that cannot be one is a UnicodeError.
@@ -67,11 +67,11 @@ class SocketcandBus:
             raise ConnectionError("the server does not speak the socketcand protocol")
         for request in (f"< open {channel} >", "< rawmode >"):
             self.stream.sendall(request.encode())
-            if (said := self._answer(b"< ")) != b"< ok >":
-                raise ConnectionError(f"the server answered {said.decode('ascii', 'replace')!r}")
+            if (answer := self._answer(b"< ")) != b"< ok >":
+                raise ConnectionError(f"the server answered {answer.decode('ascii', 'replace')!r}")
 
     def _answer(self, start: bytes) -> bytes:
-        """Return the next answer; what has come of it once it cannot be one that begins so."""
+        """Return the next answer, or its beginning as soon as that differs from ``start``."""
         end_s = time.monotonic() + HANDSHAKE_TIMEOUT_S
         while b">" not in self._buffer and self._buffer.startswith(start[: len(self._buffer)]):
             self.stream.settimeout(max(end_s - time.monotonic(), 0.001))
@@ -89,14 +89,14 @@ class SocketcandBus:
         self._buffer += data
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the server's time; None if there was none in time. Raises ValueError, OSError."""
+        """Return the next frame, with the server's time; None after the timeout. Raises ValueError, OSError."""
         end_s = time.monotonic() + timeout_s
         while b">" not in self._buffer and len(self._buffer) <= MESSAGE_MAX_BYTES:
             if not select.select([self.stream], [], [], max(0.0, end_s - time.monotonic()))[0]:
                 return None
             self._read()
         line, end, self._buffer = self._buffer.partition(b">")
-        # What comes before the last '<' is a message whose end was lost.
+        # Anything before the last '<' is a message whose end was lost.
         return frame_of((line[max(line.rfind(b"<"), 0) :] + end).decode("ascii"))
 
     def send(self, frame: Frame) -> None:
@@ -112,15 +112,15 @@ _FRAME_LINE, _ERROR_LINE = "< frame ", "< error "
 
 
 def send_line(frame: Frame) -> bytes:
-    """The line that sends a frame, as python-can writes it: a remote one is a length without data."""
+    """Return the line that sends a frame, as python-can writes it: a remote frame has a length without data."""
     data = " ".join(f"{byte:x}" for byte in frame.data)
     return f"< send {hex_identifier(frame.can_id)} {frame.length:X} {data} >".encode("ascii")
 
 
 def frame_of(line: str) -> Frame:
-    """The frame that a line shows. Raises ValueError or IndexError: it shows none."""
+    """Parse a line into a frame. Raises ValueError or IndexError if it has none."""
     if not (line.startswith((_FRAME_LINE, _ERROR_LINE)) and line.endswith(" >")):
-        raise ValueError(f"no message that is known: {line[:60]!r}")
+        raise ValueError(f"unknown message {line[:60]!r}")
     identifier, time_s, *data = line[len(_FRAME_LINE) : -2].split(" ")
     can_id, wall_ns = int(identifier, 16) & IDENTIFIER_MASK, epoch_ns(float(time_s))
     if line.startswith(_ERROR_LINE):
@@ -134,22 +134,22 @@ log = logging.getLogger(__name__)
 TIMESTAMP_TOLERANCE_NS: Final = 2_000_000_000
 TIMESTAMP_MAX_S: Final = 2**33
 SEND_WAITING_MAX_BYTES: Final = 2_048
-"""No further frame goes to a TCP socket while more than this waits in it: nine ticks of five frames, 90 ms.
+"""Unsent data above which a TCP socket gets no further frame: nine ticks of five frames, 90 ms.
 
-A receiver that is well may leave 40 ms unacknowledged.
+A healthy receiver may leave 40 ms unacknowledged.
 """
 
 SEND_STALL_S: Final = 0.2
-"""A TCP socket in which so much waits for this long is lost, with all that waits."""
+"""A TCP socket that stays above that limit for this long counts as lost, with its unsent data."""
 
 SEND_TIMEOUT_US: Final = 2_000
-"""Whatever happens, the kernel holds nobody who sends for longer than this, in ticks of its own."""
+"""Longest time that the kernel blocks a send, rounded up to its ticks."""
 
 GARBLED_MAX: Final = 20
-"""So many lines in a row that could not be read are a lost bus; one alone is noise on an adapter's line."""
+"""Unreadable lines in a row that count as a lost bus; a single one is noise on an adapter's line."""
 
 DATA_MAX_BYTES: Final = 64
-"""A CAN FD frame has no more; a text protocol may say so all the same, and the rest is cut off."""
+"""The limit of CAN FD. Longer data in a text protocol is cut off."""
 
 
 class BusLost(Exception):  # noqa: N818 - it is named for what happened; the caller opens the bus again
@@ -157,47 +157,47 @@ class BusLost(Exception):  # noqa: N818 - it is named for what happened; the cal
 
 
 class BusFull(Exception):  # noqa: N818 - it is named for what happened; the frame is lost, the bus is not
-    """The bus does not take a frame now: transmit buffer full, interface in error. It is never sent later."""
+    """The bus does not accept a frame now: transmit buffer full, interface in error. It is never sent later."""
 
 
 class Bus(Protocol):
     """A CAN bus as the loops use it.
 
     Attributes:
-        drops: frames that came and were not read, since it was opened: too late for the kernel, or garbled.
+        drops: frames since the opening that the kernel dropped, or that were garbled.
     """
 
     drops: int
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time. Raises BusLost."""
+        """Return the next frame, or None after the timeout. Raises BusLost."""
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus, without waiting. Raises BusLost, BusFull."""
 
     def close(self) -> None:
-        """Give the bus back. Never raises."""
+        """Close the bus. Never raises."""
 
 
 class BusDriver(Protocol):
-    """A reader and writer of a bus. It may raise what it likes: ``CanBus`` makes one of two things of it."""
+    """A reader and writer of a bus. ``CanBus`` maps all of its exceptions."""
 
     @property
     def stream(self) -> socket.socket | None:
         """Its TCP connection, if it has one."""
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the time that the interface gives it; or None. An OSError is a loss."""
+        """Return the next frame, with the interface's time, or None. An OSError means that the bus is lost."""
 
     def send(self, frame: Frame) -> None:
         """Hand a frame to the bus. Raises BusFull."""
 
     def shutdown(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
 
 
 class CanBus:
-    """A bus by a driver. Whatever that raises is a garbled line, or a lost bus."""
+    """A bus by a driver. Any exception of the driver counts as a garbled line or a lost bus."""
 
     def __init__(self, driver: BusDriver) -> None:
         self.drops = 0
@@ -210,7 +210,7 @@ class CanBus:
         self._keeps_epoch: bool | None = None
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time. Raises BusLost: the bus is gone."""
+        """Return the next frame, or None after the timeout. Raises BusLost: the bus is gone."""
         while True:
             try:
                 frame = self._driver.recv(timeout_s)
@@ -226,7 +226,7 @@ class CanBus:
             return frame if self._is_in_time(frame) else msgspec.structs.replace(frame, wall_ns=time.time_ns())
 
     def _drop(self, error: Exception) -> None:
-        """Count a line that could not be read. Raises BusLost."""
+        """Count an unreadable line. Raises BusLost."""
         if isinstance(error, OSError):
             raise BusLost(first_line(error)) from error
         self.drops += 1
@@ -239,7 +239,7 @@ class CanBus:
         """Return True if the interface's clock keeps epoch time.
 
         Some interfaces count from their own start, or give no time. The first frame decides until the bus is
-        closed: judged one by one, frames that waited while this process was suspended would pass for new ones.
+        closed: judged one by one, frames that waited while this process was suspended would count as new.
         """
         if self._keeps_epoch is None:
             self._keeps_epoch = abs(time.time_ns() - frame.wall_ns) <= TIMESTAMP_TOLERANCE_NS
@@ -259,7 +259,7 @@ class CanBus:
             raise BusLost(first_line(error)) from error
 
     def _check_room(self, stream: socket.socket) -> None:
-        """A TCP socket takes far more than can leave in time: what waits must stay little, or be thrown away."""
+        """Bound the unsent data: a TCP socket accepts far more than can leave in time."""
         if _waiting_bytes(stream) <= SEND_WAITING_MAX_BYTES:
             self._full_since_s = None
             return
@@ -267,12 +267,12 @@ class CanBus:
         if self._full_since_s is None:
             self._full_since_s = now_s
         if now_s - self._full_since_s < SEND_STALL_S:
-            raise BusFull("the server does not take what was sent")
+            raise BusFull("the server does not read what was sent")
         _abort(stream)
-        raise BusLost("the server takes nothing any more")
+        raise BusLost("the server no longer reads what is sent")
 
     def close(self) -> None:
-        """Give the bus back. Never raises."""
+        """Close the bus. Never raises."""
         try:
             self._driver.shutdown()
         except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
@@ -280,18 +280,18 @@ class CanBus:
 
 
 def epoch_ns(time_s: float) -> int:
-    """A time that an interface gives. Not a number, infinite or absurd, as from a broken server, is none: 0."""
+    """Convert an interface's time; 0 if it is not a number, infinite or absurd, as from a broken server."""
     return int(time_s * 1e9) if 0 <= time_s < TIMESTAMP_MAX_S else 0
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error's text; python-can puts whole tracebacks behind it."""
+    """Return the first line of an error's text, without the traceback that python-can appends."""
     message = str(error).partition("Traceback (most recent call last)")[0].strip()
     return (message.splitlines() or [type(error).__name__])[0]
 
 
 def _tune(stream: socket.socket) -> None:
-    """Frames leave at once or not at all: no waiting for more, no waiting for room."""
+    """Make frames leave at once or not at all, without waiting for more data or for space."""
     stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, SEND_TIMEOUT_US))
 
@@ -301,12 +301,12 @@ def _waiting_bytes(stream: socket.socket) -> int:
     try:
         answer = fcntl.ioctl(stream, termios.TIOCOUTQ, b"\0" * 4)
     except OSError:
-        return 0  # It is gone: the next call says so.
+        return 0  # The next call reports the lost connection.
     return int.from_bytes(answer, sys.byteorder)
 
 
 def _abort(stream: socket.socket) -> None:
-    """Throw away what has not left yet: a command must not arrive late."""
+    """Discard unsent data: a command must not arrive late."""
     try:
         stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("@ii", 1, 0))
     except OSError as error:
@@ -314,10 +314,10 @@ def _abort(stream: socket.socket) -> None:
 
 
 RECEIVE_BUFFER_BYTES: Final = 4_000_000
-"""Asked for. The kernel counts twice this, and 770 to 900 for a frame: a second of a saturated bus, and more."""
+"""The kernel doubles it, and counts 770 to 900 bytes for a frame: over a second of a saturated bus."""
 
 SEND_BUFFER_BYTES: Final = 3_400
-"""The same for sending: eight frames or nine; a tick has eight at most. What is not taken must not wait."""
+"""Holds eight or nine frames; a tick has eight at most. Further frames are refused and do not wait."""
 
 _FRAME: Final = struct.Struct("=IB3x8s")
 _FD_FRAME: Final = struct.Struct("=IBB2x64s")
@@ -340,7 +340,7 @@ _ANCILLARY_BYTES: Final = socket.CMSG_SPACE(_TIME.size) + socket.CMSG_SPACE(_COU
 
 
 def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = False) -> socket.socket:
-    """Open an interface of the kernel's, which hands over these identifiers alone, or all. Raises OSError."""
+    """Open a kernel interface for these identifiers, or for all. Raises OSError."""
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_CLOEXEC, socket.CAN_RAW)
     try:
         if fd:
@@ -348,7 +348,7 @@ def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = F
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
         bus.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         if identifiers:
-            # Before the socket is bound: nothing else comes in meanwhile.
+            # Before the socket is bound, so that no other frame comes in.
             bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed_filters(identifiers))
         bus.bind((channel,))
     except BaseException:
@@ -358,7 +358,7 @@ def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = F
 
 
 def packed_filters(identifiers: Collection[int]) -> bytes:
-    """``struct can_filter`` of each identifier: all its bits, of its own kind, and no requests for it."""
+    """Return a ``struct can_filter`` for each identifier: all bits and its kind match, remote frames do not."""
     mask = IDENTIFIER_MASK | EXTENDED | REMOTE
     return b"".join(_FILTER.pack(can_id & (IDENTIFIER_MASK | EXTENDED), mask) for can_id in identifiers)
 
@@ -373,7 +373,7 @@ class SocketCanBus:
         _tune_kernel(self._socket)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time. Raises BusLost: the interface is down, or gone."""
+        """Return the next frame, or None after the timeout. Raises BusLost: the interface is down, or gone."""
         try:
             return self._read()
         except BlockingIOError:
@@ -395,13 +395,9 @@ class SocketCanBus:
         return _frame(content, wall_ns or time.time_ns())
 
     def send(self, frame: Frame) -> None:
-        """Hand a frame to the interface, without waiting.
+        """Hand a frame to the interface, without waiting. Raises BusFull, BusLost.
 
-        While the controller is off the bus the kernel accepts frames and discards them. Error frames report that.
-
-        Raises:
-            BusFull: its queue is full.
-            BusLost: the interface is down, or gone.
+        While the controller is off the bus the kernel accepts frames and discards them; error frames report that.
         """
         if frame.fd_flags:
             content = _FD_FRAME.pack(frame.can_id, frame.length, frame.fd_flags, frame.data)
@@ -415,7 +411,7 @@ class SocketCanBus:
             raise BusLost(_in_words(error)) from error
 
     def close(self) -> None:
-        """Give the interface back. Never raises."""
+        """Close the interface. Never raises."""
         try:
             self._socket.close()
         except OSError as error:
@@ -423,7 +419,7 @@ class SocketCanBus:
 
 
 def check_up(channel: str) -> None:
-    """Raise BusLost if an interface is not there or not up: the kernel opens one that is down, too."""
+    """Raise BusLost if an interface is missing or down: the kernel opens one that is down."""
     name = os.fsencode(channel)
     if len(name) > _NAME_MAX_BYTES:
         raise BusLost(f"socketcan {channel}: {os.strerror(errno.ENODEV)}")
@@ -443,10 +439,10 @@ def _tune_kernel(bus: socket.socket) -> None:
     try:
         bus.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
     except PermissionError:
-        # As much as net.core.rmem_max allows.
+        # Up to net.core.rmem_max.
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
         log.info(
-            "the receive buffer is smaller than asked for (CAP_NET_ADMIN, or net.core.rmem_max, would allow it)"
+            "the receive buffer is smaller than requested (CAP_NET_ADMIN, or net.core.rmem_max, would allow it)"
         )
 
 

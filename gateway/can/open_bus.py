@@ -1,4 +1,4 @@
-"""Open a bus by its settings, claim it, and open it again when it goes away."""
+"""Open a bus by its settings, claim it, and reopen it after a loss."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S, CanSettings
 SOCKETCAN: Final = "socketcan"
 SOCKETCAND: Final = "socketcand"
 FD: Final = "fd"
-"""The option by which SocketCAN gives CAN FD frames too."""
+"""The option of SocketCAN for CAN FD frames."""
 
 
 def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
-    """Open the bus of the settings, for these identifiers if it can choose. Raises BusLost, CommandError."""
+    """Open the bus of the settings, filtered by identifiers where possible. Raises BusLost, CommandError."""
     try:
         if settings.interface == SOCKETCAN:
             if other := sorted(settings.options.keys() - {FD}):
-                raise CommandError(f"can.options: socketcan has {FD} alone, and not {other[0]!r}", ExitCode.USAGE)
+                raise CommandError(f"can.options: socketcan has only {FD}, not {other[0]!r}", ExitCode.USAGE)
             check_up(settings.channel)
             return SocketCanBus(open_socket(settings.channel, identifiers, fd=bool(settings.options.get(FD))))
         if settings.interface == SOCKETCAND:
             return CanBus(SocketcandBus(*_socketcand_place(settings)))
     except OSError as error:
         raise BusLost(f"{describe(settings)}: {error}") from error
-    # For the other interfaces alone: it takes memory and time. A bus is opened before the loop begins.
+    # Imported here, because it takes memory and time. A bus is opened before the loop begins.
     from gateway.can.python_can import open_driver  # noqa: PLC0415
 
     return CanBus(open_driver(settings))
 
 
 def describe(settings: CanSettings) -> str:
-    """The bus in a few words, for people."""
+    """Name the bus for people."""
     return f"{settings.interface} {settings.channel}"
 
 
@@ -70,27 +70,27 @@ def _socketcand_place(settings: CanSettings) -> tuple[str, int, str]:
 
 
 _PREFIX: Final = "\0cruiser-gateway/"
-"""A name of this machine's kernel, of which each network namespace has its own, as it has of CAN interfaces. It is
-free as soon as its process has ended, in whatever way."""
+"""Prefix of abstract socket names. They belong to a network namespace, as CAN interfaces do, and are free again as
+soon as their process has ended."""
 
 SOCKETS: Final = Path("/proc/net/unix")
-"""The kernel's list of names, of this network namespace."""
+"""The kernel's list of socket names in this network namespace."""
 
 CLAIMS_MAX: Final = 8
-"""Gateways on one bus that are counted."""
+"""Most gateways on one bus that are counted."""
 
 
 class BusClaim:
-    """Says to other gateways on this machine that this one commands a bus. It keeps nobody off it.
+    """Announces to other gateways on this computer that this one commands a bus. It does not lock the bus.
 
     Attributes:
-        is_shared: another one said so before.
+        is_shared: another gateway has claimed it before.
     """
 
     def __init__(self, settings: CanSettings) -> None:
         self.is_shared = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        # Those that come later have a name each, too: 'cruiser doctor' counts them.
+        # Later gateways take further names, so that 'cruiser doctor' can count them.
         for name in _names(settings):
             try:
                 self._socket.bind(name)
@@ -109,7 +109,7 @@ class BusClaim:
 
 
 def count_claims(settings: CanSettings) -> int:
-    """Count the gateways of this machine that command a bus."""
+    """Count the gateways on this computer that command a bus."""
     try:
         taken = {line.rpartition(" ")[2].strip() for line in SOCKETS.read_text("ascii").splitlines()}
     except OSError:
@@ -126,10 +126,10 @@ log = logging.getLogger(__name__)
 
 
 class ReconnectingBus:
-    """A bus that is opened again when it is lost, with growing pauses, on a thread of its own.
+    """A bus that is reopened after a loss, with growing pauses, on a separate thread.
 
-    Opening may take seconds, and so may closing a lost one: neither happens on the caller's thread. While the bus
-    is away ``receive`` waits its time and returns None.
+    Opening a bus and closing a lost one may take seconds: neither happens on the caller's thread. While the bus is
+    away ``receive`` waits and returns None.
     """
 
     def __init__(
@@ -159,11 +159,11 @@ class ReconnectingBus:
 
     @property
     def drops(self) -> int:
-        """Frames that were dropped before they were read, since the start."""
+        """Frames dropped before they were read, since the start."""
         return self._drops_before + (self._bus.drops if self._bus is not None else 0)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time or the bus is away."""
+        """Return the next frame, or None after the timeout or while the bus is away."""
         bus = self._bus
         if bus is None:
             if self._wake.wait(timeout_s):
@@ -176,9 +176,9 @@ class ReconnectingBus:
             return None
 
     def send(self, frames: list[Frame]) -> int:
-        """Hand frames to the bus, without waiting. Returns how many it took.
+        """Hand frames to the bus, without waiting. Returns the number it accepted.
 
-        Those after the first that it did not take are not tried: they belong together.
+        It stops at the first frame that is not accepted: the frames belong together.
         """
         bus = self._bus
         for count, frame in enumerate(frames):
@@ -187,7 +187,7 @@ class ReconnectingBus:
             try:
                 bus.send(frame)
             except BusFull as error:
-                log.debug("the bus does not take a frame: %s", error)
+                log.debug("the bus did not accept a frame: %s", error)
                 return count
             except BusLost as error:
                 self._lose(bus, str(error))
@@ -195,7 +195,7 @@ class ReconnectingBus:
         return len(frames)
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         self._closing.set()
         if self._thread is not None:
             self._thread.join(timeout=CONNECT_TIMEOUT_S + HANDSHAKE_TIMEOUT_S)
@@ -209,7 +209,7 @@ class ReconnectingBus:
         self.is_up = False
         self.detail = why
         self.losses += 1
-        # A bus that opens and is lost again at once needs the growing pauses as much as one that does not open.
+        # A bus that is lost again at once needs growing pauses like one that does not open.
         lasted = time.monotonic() - self._opened_s > self._longest_pause_s
         self._pause_s = self._first_pause_s if lasted else self._next_pause_s()
         self._start_opening(lost=bus)
@@ -223,7 +223,7 @@ class ReconnectingBus:
         self._thread.start()
 
     def _keep_opening(self, lost: Bus | None) -> None:
-        # A lost bus is given back before it is opened again: an interface may allow one user only.
+        # Close a lost bus before opening it again: an interface may allow only one user.
         if lost is not None:
             lost.close()
         while not self._closing.wait(self._pause_s):
@@ -232,7 +232,7 @@ class ReconnectingBus:
             except (BusLost, CommandError, OSError) as error:
                 self.detail = str(error)
                 self._pause_s = self._next_pause_s()
-                # The loop runs without collections, and each failure leaves a traceback that refers to itself.
+                # The loop runs without garbage collection, and each failure leaves a self-referencing traceback.
                 gc.collect()
             else:
                 self._wake.set()

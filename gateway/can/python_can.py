@@ -1,4 +1,4 @@
-"""A CAN bus by python-can: every interface but SocketCAN and socketcand. Loaded where one of those is set."""
+"""A CAN bus by python-can: every interface except SocketCAN and socketcand. Imported only when needed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from schemas.settings import CanSettings
 
 
 class PythonCan:
-    """A driver of ``CanBus``: a bus that python-can has opened."""
+    """A driver for ``CanBus`` over a bus that python-can has opened."""
 
     stream: Final = None
 
@@ -31,7 +31,7 @@ class PythonCan:
         self._bus = bus
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """See ``BusDriver``. Raises BusLost: python-can says so."""
+        """See ``BusDriver``. Raises BusLost."""
         try:
             message = self._bus.recv(timeout_s)
         except can.CanError as error:
@@ -43,7 +43,7 @@ class PythonCan:
         return None if message is None else to_frame(message, epoch_ns(message.timestamp))
 
     def _flush(self) -> None:
-        """python-can's slcan keeps what it could not decode, and would fail at it for ever."""
+        """Discard undecodable data: python-can's slcan would fail at it for ever."""
         if (flush := getattr(self._bus, "flush", None)) is not None:
             try:
                 flush()
@@ -51,7 +51,7 @@ class PythonCan:
                 raise BusLost(first_line(failed)) from failed
 
     def send(self, frame: Frame) -> None:
-        """See ``BusDriver``. Raises BusFull: python-can does not take it."""
+        """See ``BusDriver``. Raises BusFull."""
         try:
             self._bus.send(to_message(frame))
         except can.CanOperationError as error:
@@ -64,7 +64,7 @@ class PythonCan:
 
 def open_driver(settings: CanSettings) -> PythonCan:
     """Open the bus of the settings. Raises CommandError, BusLost."""
-    # Its messages hold tracebacks; what matters of them is in the BusLost that we raise.
+    # Its log has tracebacks; the BusLost raised here has the essential text.
     logging.getLogger("can").setLevel(logging.CRITICAL)
     try:
         return PythonCan(can.Bus(**_bus_arguments(settings), ignore_config=True))
@@ -74,7 +74,7 @@ def open_driver(settings: CanSettings) -> PythonCan:
             f"can.interface {settings.interface!r} cannot be used: {error}{cure}", ExitCode.USAGE
         ) from error
     except Exception as error:
-        # Each vendor's driver raises errors of its own.
+        # Each vendor's driver has different exceptions.
         if _is_library_missing(error):
             raise CommandError(
                 f"can.interface {settings.interface!r} cannot be used: its driver is not installed "
@@ -90,16 +90,16 @@ def _bus_arguments(settings: CanSettings) -> dict[str, Any]:
 
 
 def _is_library_missing(error: Exception) -> bool:
-    """Report whether the vendor's library could not be loaded: waiting for the bus is then in vain.
+    """Report whether the vendor's library is missing: waiting for the bus would be in vain.
 
-    ctypes, and python-can's pcan, say so with an OSError that has no number, as no system call failed. Its kvaser
-    continues without the library, and fails at the first name from it.
+    ctypes, and python-can's pcan, then raise an OSError without errno, as no system call failed. Its kvaser
+    continues without the library, and fails with a NameError.
     """
     return (type(error) is OSError and error.errno is None) or isinstance(error, NameError)
 
 
 def to_frame(message: can.Message, wall_ns: int) -> Frame:
-    """Our frame of python-can's message, received at this time since the epoch."""
+    """Convert a message of python-can, received at this time since the epoch."""
     can_id = message.arbitration_id & IDENTIFIER_MASK
     if message.is_extended_id:
         can_id |= EXTENDED
@@ -120,7 +120,7 @@ def to_frame(message: can.Message, wall_ns: int) -> Frame:
 
 
 def to_message(frame: Frame) -> can.Message:
-    """python-can's message of our frame."""
+    """Convert a frame to a message of python-can."""
     remote = bool(frame.can_id & REMOTE)
     return can.Message(
         timestamp=frame.wall_ns / 1e9,

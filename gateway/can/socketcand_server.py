@@ -9,9 +9,9 @@ The protocol is that of github.com/linux-can/socketcand, in raw mode::
     server  < frame 18C4D1EF 1700000000.000123 0104000000000005 >
     client  < echo >                            server  < echo >
 
-An identifier of 3 digits is standard, one of 8 extended. Outside the protocol, and in any state, a client may
-cause a fault of the virtual chassis by ``< fault bumper front on >``; the answer is ``< ok >`` or
-``< error reason >``. One thread, no queue without bound; only ``wait`` blocks.
+An identifier of 3 digits is standard, one of 8 extended. As an extension, a client in any state may cause a fault
+of the virtual chassis by ``< fault bumper front on >``; the answer is ``< ok >`` or ``< error reason >``. One
+thread; every queue is bounded; only ``wait`` blocks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OK: Final = b"< ok >"
 ECHO: Final = b"< echo >"
 
 MAX_MESSAGE_BYTES: Final = 512
-"""A message without its end after this many bytes is given up."""
+"""A message without its end after this many bytes is dropped."""
 
 _MAX_ERROR_CHARACTERS: Final = 300
 _MAX_SHOWN_BYTES: Final = 60
@@ -40,13 +40,13 @@ _MAX_SHOWN_BYTES: Final = 60
 
 
 class FaultAsked(NamedTuple):
-    """The client asks for a fault, and waits for OK or an error."""
+    """A client's request for a fault, which is answered by OK or an error."""
 
     text: str
 
 
 Event = bytes | Frame | FaultAsked
-"""An answer that the client is to get, a frame that it put on the bus, whose time is not known yet, or a fault."""
+"""An answer for the client, a frame that it put on the bus, still without a time, or a requested fault."""
 
 
 class _State(Enum):
@@ -59,7 +59,7 @@ _SEND: Final = re.compile(rb"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8}) ([0-9A-Fa-f]{1,2})(
 
 
 class ServerConnection:
-    """One client's conversation. Any bytes are an event, never an exception; the buffer is bounded."""
+    """One client's protocol state. Any input gives events, never an exception; the buffer is bounded."""
 
     def __init__(self) -> None:
         self._state = _State.CONNECTED
@@ -67,21 +67,21 @@ class ServerConnection:
 
     @property
     def is_raw(self) -> bool:
-        """The client gets the frames of the bus."""
+        """The client receives frames of the bus."""
         return self._state is _State.RAW
 
     def receive_bytes(self, data: bytes) -> list[Event]:
-        """Return the events in these bytes, and in those kept from before."""
+        """Return the events in the buffered and these bytes."""
         *messages, rest = (self._buffer + data).split(b">")
         events: list[Event] = []
         for message in messages:
-            # What comes before the last '<' is noise, or a message whose end was lost.
+            # Anything before the last '<' is noise, or a message whose end was lost.
             _, bracket, body = message.rpartition(b"<")
             if not bracket or len(body) > MAX_MESSAGE_BYTES:
                 events.append(error_line("a message begins with '<' and ends with '>'"))
             else:
                 events += self._message(body)
-        # Of an overlong rest only its first bytes are kept: enough to know that it is overlong when its end comes.
+        # Keep only the first bytes of an overlong rest: enough to recognise it as overlong at its end.
         start = max(rest.rfind(b"<"), 0)
         self._buffer = rest[start : start + MAX_MESSAGE_BYTES + 2]
         return events
@@ -120,7 +120,7 @@ class ServerConnection:
         can_id |= EXTENDED if len(match[1]) == 8 else 0
         length, data = int(match[2], 16), bytes(int(byte, 16) for byte in match[3].split())
         if length <= 8 and not data and length:
-            # python-can writes a remote frame so; the protocol itself has no word for one.
+            # python-can's form of a remote frame, which the protocol does not define.
             return Frame(can_id | REMOTE, b"", remote_length=length)
         if length != len(data):
             return error_line(f"length {length} and {len(data)} bytes do not fit")
@@ -128,7 +128,7 @@ class ServerConnection:
 
 
 def frame_line(frame: Frame) -> bytes | None:
-    """The line that shows a frame to a client; None for what the protocol cannot show: remote and FD frames."""
+    """Return the line of a frame; None for remote and FD frames, which the protocol does not have."""
     if frame.can_id & REMOTE or frame.fd_flags:
         return None
     time_s, remainder_ns = divmod(frame.wall_ns, 1_000_000_000)
@@ -139,7 +139,7 @@ def frame_line(frame: Frame) -> bytes | None:
 
 
 def error_line(reason: str) -> bytes:
-    """Return the line that reports a client's error to it."""
+    """Return the line that reports an error to the client."""
     text = re.sub(r"[<>\s]+", " ", reason)[:_MAX_ERROR_CHARACTERS].strip()
     return f"< error {text} >".encode("ascii", errors="replace")
 
@@ -154,23 +154,23 @@ MAX_CLIENTS: Final = 64
 """Well below the 1024 descriptors that select() can watch."""
 
 MAX_QUEUED_BYTES: Final = 1 << 20
-"""A client that leaves more than this unread, about 25 s of nominal feedback, is cut off."""
+"""Unread data above which a client is disconnected: about 25 s of nominal feedback."""
 
 JOIN_NS: Final = 100_000_000
-"""The delay from a client's handshake until it receives frames.
+"""Delay from a client's handshake until it receives frames.
 
 python-can's handshake reads up to 256 bytes once and expects exactly ``< ok >``: a frame in the same segment would
-fail it. The kernel gives no sign that an answer has been read, so a delay has to do.
+fail it. The kernel does not report when an answer has been read.
 """
 
 _RECEIVE_BYTES: Final = 65_536
 
 Inject = Callable[[str], str]
-"""Causes the fault that a text names; returns what is wrong with the text, or nothing."""
+"""Causes the fault named by a text. Returns an error, or an empty text."""
 
 
 class _Client:
-    """A connection, and what waits for it."""
+    """A connection, and its unsent data."""
 
     def __init__(self, connection: socket.socket, name: str) -> None:
         self.connection = connection
@@ -182,15 +182,15 @@ class _Client:
 
 
 class SocketcandServer:
-    """The bus. Each client gets the frames of the chassis and of the other clients, not its own."""
+    """The bus. Each client receives the frames of the chassis and of the other clients, not its own."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Listens. Raises OSError: the address cannot be had."""
+        """Listen. Raises OSError: the address cannot be used."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        # socket.create_server sets SO_REUSEADDR where that does not let two servers share a port.
+        # socket.create_server sets SO_REUSEADDR where two servers cannot then share a port.
         self._listener = socket.create_server((host, port), family=family, backlog=16)
         self._listener.settimeout(0)
-        # select() takes microseconds; epoll's milliseconds would make every frame up to one late.
+        # select() has microseconds; epoll's milliseconds would delay every frame by up to one.
         self._selector = selectors.SelectSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._clients: dict[socket.socket, _Client] = {}
@@ -198,7 +198,7 @@ class SocketcandServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port; the real port where 0 was asked for."""
+        """Host and port; the real port if 0 was requested."""
         host, port, *_ = self._listener.getsockname()
         return host, port
 
@@ -208,11 +208,11 @@ class SocketcandServer:
         return len(self._clients)
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for a client, at most this long."""
+        """Wait for a client, at most this long."""
         self._ready = self._selector.select(timeout_s)
 
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
-        """Does what the clients ask for, and returns the frames that they put on the bus."""
+        """Handle the clients' requests, and return the frames that they put on the bus."""
         frames: list[Frame] = []
         for key, events in self._ready:
             client: _Client | None = key.data
@@ -226,11 +226,11 @@ class SocketcandServer:
         return frames
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
-        """Puts frames of the chassis on the bus."""
+        """Put frames of the chassis on the bus."""
         self._broadcast(frames, now_ns, None)
 
     def close(self) -> None:
-        """Says good-bye to all."""
+        """Disconnect all clients."""
         for client in list(self._clients.values()):
             self._drop_client(client, "the server ends")
         self._selector.close()
@@ -240,10 +240,10 @@ class SocketcandServer:
         try:
             connection, peer = self._listener.accept()
         except OSError:
-            return  # It went away again before we came to it.
+            return  # The client has gone again.
         if len(self._clients) >= MAX_CLIENTS:
             with contextlib.suppress(OSError):
-                connection.send(error_line(f"there are {MAX_CLIENTS} clients already"))
+                connection.send(error_line(f"there are already {MAX_CLIENTS} clients"))
             connection.close()
             return
         connection.settimeout(0)
@@ -295,7 +295,7 @@ class SocketcandServer:
             self._flush(client)
 
     def _flush(self, client: _Client) -> None:
-        """Sends what can be sent, and watches for room if some is left."""
+        """Send what the socket accepts, and wait for it to become writable if data is left."""
         if client.connection not in self._clients:
             return
         try:

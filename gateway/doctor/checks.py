@@ -1,4 +1,4 @@
-"""The checks of ``cruiser doctor``: one table. A row says what it looks at, what it may find, and the cure."""
+"""The checks of ``cruiser doctor`` in one table: each row has a check, its finding and its cure."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ USUAL_BITRATE: Final = 500_000
 """The manual gives none; this is common for the family."""
 
 CLOCK_MAX_S: Final = 1.0
-"""A robot's clock may be so far from this one: its health is that old when it is read, at most."""
+"""Tolerance between the robot's clock and this one: its health is up to this old when it is read."""
 
 LOST_MAX_SHARE: Final = 0.001
-"""A recorder may miss such a share of the samples before anybody has to look."""
+"""Share of samples that a recorder may miss without a finding."""
 
 ERROR_FRAME: Final = "error_frame"
 
 DAMAGE: Final = frozenset({"checksum", "implausible", "alive_counter"})
-"""Failures of a frame that say that it comes, and is wrong."""
+"""Failures of frames that arrive but are wrong."""
 
 CHASSIS_REASONS: Final = frozenset(
     {
@@ -44,7 +44,7 @@ CHASSIS_REASONS: Final = frozenset(
         Reason.UNGUARDED,
     }
 )
-"""Reasons for which a robot does not move that have rows of their own here, with more to say."""
+"""Reasons that have more specific checks in this table."""
 
 USE_REASONS: Final = frozenset(
     {
@@ -61,16 +61,16 @@ USE_REASONS: Final = frozenset(
         Reason.SHUTDOWN,
     }
 )
-"""Those of a robot that is well, and in use or at rest."""
+"""Reasons of a healthy robot, in use or at rest."""
 
 
 class Detail(NamedTuple):
     """The particulars of a finding, beyond the texts of its row.
 
     Attributes:
-        text: the figures; empty if there are none.
-        cure: what cures just this; empty if it is the row's.
-        means: what it is, where the row cannot say it; empty if it can.
+        text: the figures; may be empty.
+        cure: replaces the row's cure unless empty.
+        means: replaces the row's text unless empty.
     """
 
     text: str = ""
@@ -85,9 +85,9 @@ class Check(msgspec.Struct, frozen=True):
     """A row.
 
     Attributes:
-        means: what was found, if anything was.
-        cure: what cures it. ROBOT, CHANNEL and BITRATE stand for the robot's.
-        is_note: the robot works all the same: it is said, and changes no exit code.
+        means: text of the finding.
+        cure: with placeholders ROBOT, CHANNEL and BITRATE.
+        is_note: the robot works all the same; the exit code is not affected.
     """
 
     name: str
@@ -98,7 +98,7 @@ class Check(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """A finding, in words."""
+    """A finding as text."""
 
     check: str
     text: str
@@ -112,7 +112,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
 
 
 def diagnose(facts: Facts) -> list[Diagnosis]:
-    """All that is wrong, in the order of the table: what comes first is the likely cause of what follows."""
+    """Return all findings in the order of the table: the first is the likely cause of the others."""
     return [
         Diagnosis(
             check.name,
@@ -126,7 +126,7 @@ def diagnose(facts: Facts) -> list[Diagnosis]:
 
 
 def summary(facts: Facts) -> str:
-    """A robot that is well, in one line."""
+    """Summarise a healthy robot in one line."""
     words = []
     if facts.state is not None and facts.state.speed_mps is not None:
         speed_mps = facts.state.speed_mps
@@ -134,7 +134,7 @@ def summary(facts: Facts) -> str:
         words.append("standing" if stands else f"moving at {speed_mps:+.2f} m/s")
     words += ["feedback complete", "guarded", "recording"]
     if facts.settings.gateway.listen_only:
-        words[words.index("guarded")] = "commanded by nobody (gateway.listen_only)"
+        words[words.index("guarded")] = "not commanded (gateway.listen_only)"
     end_s = authority_ends_s(facts)
     signed = facts.settings.authority.mode == "signed" and end_s is not None
     words.append(f"authority valid until {_utc(end_s)}" if signed and end_s else "open to this machine alone")
@@ -142,7 +142,7 @@ def summary(facts: Facts) -> str:
 
 
 def authority_ends_s(facts: Facts) -> int | None:
-    """When the first of the robot's certificate and grant ends, seconds since 1970; None if neither is known."""
+    """Return when the robot's certificate or grant expires first, seconds since 1970; None if unknown."""
     health = facts.zenoh.health
     ends_ns = [] if health is None else [health.certificate_ends_ns, health.grant_ends_ns]
     ends = [end // 10**9 for end in ends_ns if end is not None]
@@ -168,12 +168,12 @@ def _utc(time_s: float) -> str:
 
 
 def _interface(facts: Facts) -> CanInterface:
-    """The interface; one that is well where there is none to look at."""
+    """Return the interface, or a healthy stand-in where the bus has none."""
     return facts.interface or CanInterface(is_present=True, is_up=True, is_virtual=True)
 
 
 def _bus_detail(facts: Facts) -> str:
-    """Why the bus is not open; empty if it is, or if the interface itself says why."""
+    """Return why the bus is not open; empty if it is, or if the interface's state explains it."""
     interface = _interface(facts)
     if not (interface.is_present and interface.is_up):
         return ""
@@ -184,17 +184,17 @@ def _bus_detail(facts: Facts) -> str:
 
 
 def _open_bus(facts: Facts) -> GatewayHealth | None:
-    """The health of a bus that is open; None if nothing is known of it."""
+    """Return the health of an open bus; None if it is closed or unknown."""
     return facts.health if facts.health is not None and facts.health.bus_up else None
 
 
 def _is_heard(health: GatewayHealth) -> bool:
-    """Any frame of the chassis comes."""
+    """Report whether any frame of the chassis arrives."""
     return any(row.valid and not row.silent for row in health.feedback)
 
 
 def _has_errors(facts: Facts, health: GatewayHealth) -> bool:
-    """The controller is troubled: by its error frames, or by what the kernel says of it."""
+    """Report whether the CAN controller has errors, by error frames or by the kernel's state."""
     troubled = health.controller in {ControllerState.BUS_OFF, ControllerState.PASSIVE}
     return bool(health.faults.get(ERROR_FRAME)) or troubled or _interface(facts).controller in _TROUBLED
 
@@ -243,8 +243,8 @@ def _other_device(facts: Facts) -> Iterable[Detail]:
 
 
 def _missing(health: GatewayHealth, facts: Facts) -> list[str]:
-    heard = {row.name for row in health.feedback if row.valid and not row.silent}
-    return [name for name in facts.settings.chassis.required_feedback if name not in heard]
+    seen = {row.name for row in health.feedback if row.valid and not row.silent}
+    return [name for name in facts.settings.chassis.required_feedback if name not in seen]
 
 
 def _feedback_missing(facts: Facts) -> Iterable[Detail]:
@@ -260,7 +260,7 @@ def _feedback_faulty(facts: Facts) -> Iterable[Detail]:
 
 
 def _damaged(health: GatewayHealth) -> dict[str, list[str]]:
-    """Frames that come, and are wrong. One that only comes late may wait on this computer."""
+    """Return the failures of frames that arrive damaged. A late frame may have waited on this computer."""
     found = {row.name: [why for why in row.failures if why in DAMAGE] for row in health.feedback}
     return {name: why for name, why in found.items() if why}
 
@@ -277,7 +277,7 @@ def _queue_long(facts: Facts) -> Iterable[Detail]:
 
 
 def _bus_commanded(facts: Facts) -> bool:
-    """Somebody commands the bus, and no gateway of this name does."""
+    """Report whether another computer commands the bus."""
     by_another = facts.zenoh.safety is not None and Reason.OTHER_COMMANDER in facts.zenoh.safety.blocked_by
     return by_another or (facts.bus is not None and facts.bus.is_commanded)
 
@@ -303,7 +303,7 @@ def _gateway_missing(facts: Facts) -> Iterable[Detail]:
     zenoh = facts.zenoh
     known = zenoh.health is not None or zenoh.is_named or zenoh.gateways > 0
     away = not known and not (zenoh.why_not and _has_router(facts))
-    return _found(away, f"nobody answers as {facts.settings.robot.name} at {zenoh.place}")
+    return _found(away, f"no gateway answers as {facts.settings.robot.name} at {zenoh.place}")
 
 
 def _gateway_hangs(facts: Facts) -> Iterable[Detail]:
@@ -337,7 +337,7 @@ RESULTS: Final = {
     "core-dump": " (it crashed)",
     "exit-code": " (it gave up)",
 }
-"""systemd's words for the end of a service, for people."""
+"""Explanations of systemd's service results."""
 
 
 def _realtime(facts: Facts) -> Iterable[Detail]:
@@ -362,10 +362,10 @@ def _unguarded(facts: Facts) -> Iterable[Detail]:
 
 
 def _reasons(reasons: Iterable[Reason], facts: Facts) -> Iterator[Detail]:
-    said = list(reasons)
+    every = list(reasons)
     stop_detail = "" if facts.zenoh.safety is None else facts.zenoh.safety.stop_detail
-    for reason in said:
-        text = of_a_robot(reason, said)
+    for reason in every:
+        text = of_a_robot(reason, every)
         is_last = facts.zenoh.safety is not None and facts.zenoh.safety.stop_reason is reason
         detail = facts.stop_note if reason is Reason.GUARD else ""
         detail = detail or (stop_detail if is_last else "")
@@ -384,7 +384,7 @@ def _blocked(facts: Facts) -> Iterable[Detail]:
 
 
 def _clock_behind(facts: Facts) -> Iterable[Detail]:
-    text = f"it says {_utc(facts.now_s)}, and it is {_utc(facts.earliest_s)} at least"
+    text = f"it reads {_utc(facts.now_s)}, but it is at least {_utc(facts.earliest_s)}"
     return _found(facts.now_s < facts.earliest_s, text)
 
 
@@ -403,7 +403,7 @@ def _way(ahead_s: float) -> str:
 
 
 def _split(text: str) -> Detail:
-    """A problem of a file, whose cure stands behind a semicolon."""
+    """Split a file's problem from its cure, which follows a semicolon."""
     what, _, cure = text.partition("; ")
     return Detail("", cure, what)
 
@@ -438,7 +438,7 @@ def _recorder_stopped(facts: Facts) -> Iterable[Detail]:
     if any(one.state is RecorderState.RECORDING for one in recorders):
         return
     for one in recorders:
-        full = "let the disk have room" if one.state is RecorderState.FULL else ""
+        full = "free space on the disk" if one.state is RecorderState.FULL else ""
         yield Detail(f"{one.recorder} is {one.state.value}", full)
 
 
@@ -447,9 +447,9 @@ def _losses(facts: Facts) -> Iterable[Detail]:
     counts = []
     if health is not None:
         counts = [
-            ("frames that were not read in time, or garbled (bus_drops)", health.bus_drops),
-            ("requests that it dropped unread (inbox_drops)", health.inbox_drops),
-            ("samples that Zenoh did not take (publish_failures)", health.publish_failures),
+            ("frames not read in time, or garbled (bus_drops)", health.bus_drops),
+            ("requests dropped unread (inbox_drops)", health.inbox_drops),
+            ("samples that Zenoh did not accept (publish_failures)", health.publish_failures),
             ("losses of the bus (bus_losses)", health.bus_losses),
         ]
     for recorder in facts.zenoh.recorders:
@@ -466,194 +466,194 @@ def _dropped(recorder: RecorderHealth) -> int:
 _UP: Final = (
     "ip link set CHANNEL up txqueuelen 10 type can bitrate BITRATE restart-ms 100; at each start: 'cruiser setup'"
 )
-_CABLE: Final = "look at the cable, at its termination (60 ohms between the wires) and at what else sends"
+_CABLE: Final = "check the cable, its termination (60 ohms between the wires) and the other senders"
 
 CHECKS: Final = (
     Check(
         "other_bus",
-        "another bus than that of the settings was looked at",
-        "name the settings file of the gateway that runs: --config",
+        "the bus examined is not the one in the settings",
+        "pass the settings file of the running gateway: --config",
         _other_bus,
         is_note=True,
     ),
     Check(
         "interface_missing",
-        "the interface is not there",
-        "plug the adapter in, or name another: can.channel; 'ip link' lists them",
+        "the interface does not exist",
+        "plug in the adapter, or set can.channel to another one; 'ip link' lists them",
         lambda facts: _found(not _interface(facts).is_present, facts.settings.can.channel),
     ),
     Check("interface_down", "the interface is down", _UP, _interface_down),
     Check(
         "bus_unreachable",
         "the bus cannot be opened",
-        "look at can.interface and can.channel, and at what has the interface",
+        "check can.interface and can.channel, and which program uses the interface",
         lambda facts: _found(bool(detail := _bus_detail(facts)), detail),
     ),
     Check(
         "bit_rate",
         "the bus runs at another bit rate, or is damaged",
-        "set the chassis's bit rate: 'cruiser setup --bitrate N'; where it is right, " + _CABLE,
+        "set the chassis's bit rate: 'cruiser setup --bitrate N'; if it is right, " + _CABLE,
         _bit_rate,
     ),
     Check(
         "bit_rate_differs",
-        "the interface has not the bit rate of the settings",
+        "the interface's bit rate differs from the settings",
         "'cruiser setup --bitrate BITRATE', or change can.bitrate",
         _bit_rate_differs,
     ),
     Check(
         "bus_silent",
         "nothing is received on the bus",
-        "look at the chassis's power and button, and at the cable",
+        "check the chassis's power and button, and the cable",
         _bus_silent,
     ),
     Check(
         "other_device",
-        "frames are received, and none is of this chassis",
-        "connect the chassis to this bus, or name its bus: can.channel",
+        "frames are received, but none from this chassis",
+        "connect the chassis to this bus, or set can.channel to its bus",
         _other_device,
     ),
     Check(
         "feedback_missing",
-        "frames that a gateway needs are missing",
-        "look at the chassis; chassis.required_feedback says which are needed",
+        "required feedback frames are missing",
+        "check the chassis; chassis.required_feedback lists the required frames",
         _feedback_missing,
     ),
     Check(
         "feedback_faulty",
-        "frames of the chassis are damaged",
+        "frames from the chassis are damaged",
         _CABLE,
         _feedback_faulty,
     ),
     Check(
         "variant_unknown",
         "the firmware variant, and with it the scale of speeds, is not known",
-        "let the robot stand still; where it does, chassis.variant is set wrong",
+        "let the robot stand still; if it already does, chassis.variant is set wrong",
         _variant_unknown,
     ),
     Check(
         "other_commander",
         "another computer commands the chassis",
-        "end the other one: a chassis takes commands from one alone",
+        "stop the other one: a chassis takes commands from one computer only",
         lambda facts: _found(_bus_commanded(facts), facts.settings.can.channel),
     ),
     Check(
         "two_gateways",
         "more than one gateway commands the bus",
-        "end one, or give it gateway.listen_only",
+        "stop one, or set its gateway.listen_only",
         lambda facts: _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}"),
     ),
     Check(
         "two_of_one_name",
         "more than one gateway has the robot's name",
-        "give one another name: robot.name",
+        "rename one: robot.name",
         _two_of_one_name,
     ),
     Check(
         "queue_long",
-        "the transmit queue is so long that it would deliver stale commands",
+        "the transmit queue is long enough to deliver stale commands",
         "ip link set CHANNEL txqueuelen 10",
         _queue_long,
     ),
     Check(
         "no_restart",
-        "a controller that has gone off the bus does not come back by itself",
+        "the CAN controller does not restart automatically after bus-off",
         "ip link set CHANNEL type can restart-ms 100, while it is down",
         lambda facts: _found(_interface(facts).restart_ms == 0),
     ),
     Check(
         "router_unreachable",
         "the router cannot be reached",
-        "look at the network and at the router: 'systemctl status cruiser-router' there",
+        "check the network, and the router: 'systemctl status cruiser-router' on its computer",
         _router,
     ),
     Check(
         "gateway_missing",
-        "the gateway does not run",
+        "the gateway is not running",
         "'systemctl start cruiser-gateway', or 'cruiser gateway'",
         _gateway_missing,
     ),
     Check(
         "gateway_hangs",
-        "the gateway is connected, and sends no health",
-        "wait 10 s, after which systemd starts it again; 'systemctl restart cruiser-gateway'",
+        "the gateway is connected, but sends no health",
+        "wait 10 s until systemd restarts it, or 'systemctl restart cruiser-gateway'",
         _gateway_hangs,
     ),
     Check(
         "not_asked",
-        "nothing here may ask the gateway: a robot's own certificate sees no telemetry",
-        "install a recorder's or a viewer's beside it ('cruiser provision recorder'), or name one: --zenoh-config",
+        "the gateway could not be queried: a robot's own certificate receives no telemetry",
+        "install a recorder's or viewer's certificate here ('cruiser provision recorder'), or pass --zenoh-config",
         lambda facts: _found(facts.zenoh.is_blind and not facts.zenoh.why_not),
     ),
     Check(
         "not_shut_down",
         "the computer lost its power, or was reset, without being shut down",
-        "look at the battery and the supply; the recorder mends the log that it was writing",
+        "check the battery and the supply; the recorder repairs the log it was writing",
         lambda facts: _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}"),
         is_note=True,
     ),
     Check(
         "service_not_active",
-        "a service does not run",
+        "a service is not running",
         "journalctl -u cruiser-gateway",
         _service_failed,
     ),
     Check(
         "service_restarted",
-        "systemd has started a service again",
+        "systemd restarted a service",
         "journalctl -u cruiser-gateway",
         _restarts,
         is_note=True,
     ),
     Check(
         "realtime",
-        "the gateway has no real-time priority, and the lower speed limit is in force",
+        "the gateway has no real-time priority: the lower speed limit applies",
         "LimitRTPRIO=20",
         _realtime,
     ),
-    Check("unguarded", "no second process watches the gateway", "wait a second", _unguarded),
+    Check("unguarded", "no guard process watches the gateway", "wait a second", _unguarded),
     Check(
         "latched",
-        "what has to be reset",
+        "a reset is required",
         "'cruiser reset ROBOT'",
         lambda facts: () if facts.zenoh.safety is None else _reasons(facts.zenoh.safety.latched, facts),
     ),
-    Check("blocked", "why nobody can engage the robot", "'cruiser why ROBOT'", _blocked),
+    Check("blocked", "the robot cannot be engaged", "'cruiser why ROBOT'", _blocked),
     Check(
         "clock_behind",
-        "the clock is behind",
-        "set it: 'timedatectl set-time', or a time server; look at its battery",
+        "this computer's clock is behind",
+        "set it with 'timedatectl set-time' or a time server; check its battery",
         _clock_behind,
     ),
     Check(
         "clock_set_back",
         "the robot's clock was set back since its gateway started",
-        "let a time server keep it: logs have the times in between twice",
+        "use a time server; logs contain the times in between twice",
         _clock_set_back,
         is_note=True,
     ),
     Check(
         "clock_unsynchronised",
-        "no time server keeps the clock",
-        "let chrony or systemd-timesyncd run, and reach a server: 'timedatectl'",
+        "the clock is not synchronised with a time server",
+        "run chrony or systemd-timesyncd, with access to a server; 'timedatectl' shows the state",
         lambda facts: _found(facts.is_synchronised is False),
         is_note=True,
     ),
     Check(
         "clock_differs",
-        "the robot's clock is not this machine's",
-        "let both be kept by a time server",
+        "the robot's clock differs from this computer's",
+        "synchronise both with a time server",
         _clock_differs,
     ),
     Check(
         "credentials_missing",
-        "authority.mode is signed, and there are no keys",
+        "authority.mode is signed, but there are no keys",
         "'cruiser provision robot ROBOT' makes them, 'cruiser setup --bundle FILE' installs the answer",
         _unsigned,
     ),
     Check(
         "credentials",
-        "a file is missing, wrong, over, or others can read it",
+        "a credential is missing, wrong, expired, or readable by others",
         "'cruiser provision renew robot' asks for another",
         lambda facts: [_split(one.problem) for one in facts.credentials if one.problem],
     ),
@@ -666,13 +666,13 @@ CHECKS: Final = (
     ),
     Check(
         "hole",
-        "a certificate without any right is not shut out",
-        "install router.json5 at the router again, and start it from that",
+        "a certificate without rights gets past the router",
+        "install router.json5 on the router again, and restart it",
         lambda facts: [_split(facts.hole)] if facts.hole else [],
     ),
     Check(
         "shut_out",
-        "a certificate without any right can neither send, see nor answer",
+        "a certificate without rights can neither send, receive nor answer",
         "nothing to do",
         lambda facts: _found(facts.hole == ""),
         is_note=True,
@@ -680,13 +680,13 @@ CHECKS: Final = (
     Check(
         "disk_unusable",
         "logs cannot be written",
-        "make the directory, and let it belong to the recorder's user",
+        "create the directory, owned by the recorder's user",
         _disk_unusable,
     ),
     Check(
         "disk_read_only",
         "the file system is mounted read-only",
-        "look at the disk ('dmesg'), then mount it anew",
+        "check the disk ('dmesg'), then remount it",
         lambda facts: _found(
             facts.disk is not None and facts.disk.is_read_only, facts.disk.directory if facts.disk else ""
         ),
@@ -694,34 +694,34 @@ CHECKS: Final = (
     Check(
         "disk_full",
         "the disk is full",
-        "copy logs away, or let recorder.budget_bytes be less",
+        "move logs off the disk, or lower recorder.budget_bytes",
         _disk_full,
     ),
     Check(
         "recorder_missing",
-        "nobody records",
+        "no recorder is running",
         "'systemctl start cruiser-recorder', or 'cruiser record'",
         lambda facts: _found(facts.zenoh.health is not None and not facts.zenoh.recorders, facts.zenoh.place),
     ),
     Check(
         "recorder_stopped",
-        "a recorder runs, and does not record",
-        "let recorder.standby be false",
+        "a recorder runs, but does not record",
+        "set recorder.standby to false",
         _recorder_stopped,
     ),
     Check(
         "versions",
-        "not all are of one version",
-        "bring the older ones up to date, while the robot stands",
+        "versions differ",
+        "update the older ones while the robot stands",
         _versions,
         is_note=True,
     ),
     Check(
         "losses",
-        "something was lost",
-        "see the alert of that name in docs/operate.md",
+        "data was lost",
+        "see the alert of the same name in docs/operate.md",
         _losses,
         is_note=True,
     ),
 )
-"""Every check. What is looked at first is the likely cause of what follows."""
+"""All checks, likely causes first."""

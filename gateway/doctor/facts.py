@@ -1,4 +1,4 @@
-"""Facts about a robot's computer, bus and samples, and the metres that it goes until it stands."""
+"""Facts about a robot's computer, bus and samples, and its stopping distances."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class CanInterface(msgspec.Struct, frozen=True):
     """A CAN interface of the kernel's.
 
     Attributes:
-        is_present, is_up: it is there; it is up.
+        is_present: the interface exists.
         is_virtual: it has no controller, and so no bit rate: vcan.
-        bitrate: bit/s; None if it has none, or if nobody could be asked.
-        controller: the controller's state in the kernel's words, such as BUS-OFF; empty if it is not known.
-        restart_ms: time after which a controller that is off the bus comes back; None if it is not known.
+        bitrate: bit/s; None if it has none or it is unknown.
+        controller: the controller's state as the kernel names it, such as BUS-OFF; empty if unknown.
+        restart_ms: time until a controller restarts after bus-off; None if unknown.
     """
 
     is_present: bool = False
@@ -34,13 +34,12 @@ class CanInterface(msgspec.Struct, frozen=True):
 
 
 class BusReport(msgspec.Struct, frozen=True):
-    """The feedback that was received from a CAN bus in a second, without sending.
+    """Feedback received from a CAN bus in a second, without sending.
 
     Attributes:
         why_not: why it could not be opened; empty if it could.
-        health: the supervision of its frames, as a gateway reports it; None if it could not be opened.
-        state: the chassis as it is seen; the same.
-        is_commanded: somebody commands the chassis: frames that move it were received.
+        health, state: as a gateway would report them; None if the bus could not be opened.
+        is_commanded: frames that move the chassis were received.
     """
 
     why_not: str = ""
@@ -50,15 +49,15 @@ class BusReport(msgspec.Struct, frozen=True):
 
 
 class ZenohReport(msgspec.Struct, frozen=True):
-    """The samples that were received on Zenoh.
+    """Samples received on Zenoh.
 
     Attributes:
-        place: where it was connected to, in words.
-        why_not: why nothing is connected there; empty if something is.
-        is_blind: it was asked with the robot's own certificate, which sees no telemetry.
+        place: the endpoint, as text.
+        why_not: why there is no connection; empty if there is one.
+        is_blind: the robot's own certificate was used, which receives no telemetry.
         health, safety, state: the newest of the robot; None if there was none.
-        clock_moved_s: so far somebody has set the robot's clock since its gateway started; below zero: back.
-        settings: those of the one gateway that answers; None if they are not known.
+        clock_moved_s: steps of the robot's clock since its gateway started; negative if it was set back.
+        settings: of the gateway that answers; None if unknown.
     """
 
     place: str = ""
@@ -76,13 +75,13 @@ class ZenohReport(msgspec.Struct, frozen=True):
 
 
 class ServiceUnit(msgspec.Struct, frozen=True):
-    """A unit of systemd's.
+    """A systemd unit.
 
     Attributes:
         name: such as ``cruiser-gateway.service``.
-        result: why it ended last, in systemd's word; success if it did not fail, or if that is forgotten.
-        restarts: how often systemd has started it again since it was started by hand or at boot.
-        ended_s: when it failed last, seconds since 1970; None if that is not known.
+        result: systemd's result of its last run; success if it did not fail or the result is lost.
+        restarts: automatic restarts since it was started by hand or at boot.
+        ended_s: time of its last failure, seconds since 1970; None if unknown.
     """
 
     name: str
@@ -112,9 +111,9 @@ class Credential(msgspec.Struct, frozen=True):
     """A certificate with its key, or a grant.
 
     Attributes:
-        problem: what is wrong with it, with its cure, in one line; empty if nothing is.
-        warning: that it ends soon; the same.
-        ends_s: when it ends, seconds since 1970; None if that is not known.
+        problem: what is wrong, and the cure, in one line; empty if it is valid.
+        warning: set when it expires soon, in the same form.
+        ends_s: expiry, seconds since 1970; None if unknown.
     """
 
     name: str
@@ -124,24 +123,23 @@ class Credential(msgspec.Struct, frozen=True):
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """All that is judged.
+    """Everything that the checks judge.
 
     Attributes:
         now_s: this machine's clock, seconds since 1970.
-        earliest_s: a time that is past for certain: when this was installed, or the newest that the authority
-            said.
-        is_synchronised: the kernel's clock is kept by a time server; None if the kernel does not say.
-        booted_s: when this computer was started, seconds since 1970.
-        was_shut_down: before that it was shut down in order; None if its journal does not say.
-        stop_note: of a stop by the guard, or by the early stop, that is latched: when and why, in one line; empty
-            if there is none, or if it is not for this user to read.
-        hole: what a certificate without any right can do at the router, with the cure, or why that could not be
-            tried; empty if it can do nothing, None if it was not tried.
-        bus_of_settings: the bus of the settings where the gateway has another, which was looked at; else empty.
-        interface: the CAN interface; None where the bus is none of the kernel's.
-        claims: gateways of this machine that command the bus.
-        bus: what was received of it; None if it was not listened to, because a gateway reports it.
-        disk: that of the logs; None where no recorder is to run on this machine.
+        earliest_s: a time that is certainly past: the installation's, or the newest known from the authority.
+        is_synchronised: the kernel's clock is synchronised with a time server; None if unknown.
+        booted_s: boot time of this computer, seconds since 1970.
+        was_shut_down: it was shut down before it booted; None if its journal does not say.
+        stop_note: time and cause of a latched stop by the guard or the early stop, in one line; empty if there is
+            none, or this user may not read it.
+        hole: what a certificate without rights can do at the router, with the cure, or why the test failed; empty
+            if it can do nothing, None if it was not tested.
+        bus_of_settings: the bus of the settings, where the gateway uses another one; else empty.
+        interface: None where the bus is not a kernel interface.
+        claims: gateways on this computer that command the bus.
+        bus: None if it was not examined, because a gateway reports it.
+        disk: None where no recorder runs on this computer.
     """
 
     settings: Settings
@@ -164,7 +162,7 @@ class Facts(msgspec.Struct, frozen=True):
 
     @property
     def health(self) -> GatewayHealth | None:
-        """The gateway's health; without a gateway that of the bus as it was listened to."""
+        """The gateway's health, or that of the examined bus if there is no gateway."""
         return self.zenoh.health or (None if self.bus is None else self.bus.health)
 
     @property
@@ -178,13 +176,13 @@ _AT_ONCE: Final = "command.emergency_deceleration_mps2"
 
 
 class Way(NamedTuple):
-    """The way that a robot goes on at its highest speed, on level ground.
+    """The stopping distance from the highest speed on level ground, after one event.
 
     Attributes:
-        notice_m: until that is noticed.
-        notice_setting: what makes this shorter if it is lowered; empty if none does.
-        stop_m: from there until it stands, with the lag of the virtual chassis's drive.
-        stop_setting: what makes this shorter if it is raised.
+        notice_m: until the event is detected.
+        notice_setting: lower it to shorten ``notice_m``; empty if no setting does.
+        stop_m: from there to standstill, with the drive lag of the virtual chassis.
+        stop_setting: raise it to shorten ``stop_m``.
     """
 
     event: str
@@ -200,11 +198,7 @@ class Way(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """All of them.
-
-    Attributes:
-        speed_setting: the one that bounds it.
-    """
+    """All stopping distances at the highest speed, and the setting that bounds that speed."""
 
     speed_mps: float
     speed_setting: str
@@ -218,7 +212,7 @@ class Reach(NamedTuple):
 
 
 def reach(facts: Facts) -> Reach:
-    """Add the settings up."""
+    """Calculate the stopping distances from the settings."""
     command, health = facts.settings.command, facts.zenoh.health
     delay_s = command.deadman_s + command.view_delay_s
     limits = {

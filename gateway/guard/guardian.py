@@ -29,7 +29,7 @@ from schemas.settings import (
 )
 
 _LATE_LOOKS: Final = 2
-"""Late in so many looks: where the whole machine stood still, the loop may beat before the second."""
+"""Late looks in a row before a stop: after a pause of the whole computer the loop may beat before the second."""
 
 _OUTCOMES: Final = {outcome.value: outcome for outcome in StopOutcome}
 
@@ -38,11 +38,11 @@ class Guardian:
     """Watches the heartbeat, and stops the robot when it fails.
 
     Attributes:
-        is_ended: nothing is left to guard; the process may leave.
-        is_sending: a stop is under way, and the loop has to keep silent. It is carried through also when the loop
-            comes back: a loop that has seen this will not take the robot again.
-        cause: of the last one, or of the one under way.
-        outcome: the end of the last one; NONE while one is under way.
+        is_ended: nothing is left to guard; the process may exit.
+        is_sending: a stop is under way, and the loop must not send. The stop is completed even if the loop
+            recovers: a loop that has seen this flag does not take the robot back.
+        cause: of the current or last stop.
+        outcome: of the last stop; NONE while one is under way.
     """
 
     def __init__(self, chassis: Chassis, settings: CommandSettings) -> None:
@@ -53,13 +53,13 @@ class Guardian:
         self.cause = Cause.NONE
         self.outcome = StopOutcome.NONE
         self._stopper = Stopper(chassis, self.view, settings)
-        # One stop for each failure: after it, only a loop that is well again can fail again.
+        # One stop per failure: only a loop that has recovered can fail again.
         self._is_armed = True
         self._late_looks = 0
         self._began_ns = self._feedback_ns = 0
         self._ticked_ns: int | None = None
         self._gone_since_ns: int | None = None
-        # When a stop of its own was complete: what was told before is no command any more.
+        # Completion time of our last stop: earlier commands no longer count.
         self._ended_ns = 0
         self._was_paused = False
         self._late_at_ns = 0
@@ -71,7 +71,7 @@ class Guardian:
         self._was_asked_to_end = True
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """A frame came from the bus."""
+        """Take a frame from the bus."""
         self.view.receive(frame, now_ns)
 
     def tick(self, beat: Beat | None, now_ns: int, *, parent_lives: bool, bus_up: bool) -> list[Frame]:
@@ -115,7 +115,7 @@ class Guardian:
         return min(due_ns, self._late_at_ns) if self._late_at_ns > now_ns else due_ns
 
     def sent(self, count: int, now_ns: int) -> None:
-        """So many of the frames of this tick were taken by the bus."""
+        """Note that the bus accepted the first ``count`` frames of this tick."""
         self._stopper.sent(count, now_ns)
 
     def status(self, now_ns: int, *, bus_up: bool) -> GuardStatus:
@@ -129,16 +129,16 @@ class Guardian:
         return lines
 
     def _is_left(self, beat: Beat) -> bool:
-        """Return True if the chassis still has the last command, as after a takeover by the remote control (RC).
+        """Return True if the chassis still holds our last command, as after a takeover by the remote control (RC).
 
-        It executes that indefinitely, unless somebody else has commanded it since.
+        It executes that command indefinitely, unless another computer has commanded it since.
         """
         commander_ns = self.view.commander_ns
         is_old = commander_ns is not None and commander_ns - beat.now_ns > GUARD_SILENT_NS
         return beat.is_left and beat.told_ns > self._ended_ns and not is_old
 
     def _is_taken(self, last: Beat, now_ns: int) -> bool:
-        """Late as this is, somebody else has begun to command the chassis, and does so now: two must not."""
+        """Return True if another computer has begun to command the chassis, and a late stop must not interfere."""
         commander_ns = self.view.commander_ns
         return (
             commander_ns is not None
@@ -147,12 +147,12 @@ class Guardian:
         )
 
     def _cause(self, beat: Beat | None, now_ns: int, *, is_fresh: bool, is_alone: bool) -> Cause | None:
-        """Return the cause to act now, if there is one."""
+        """Return the cause for a stop now, if there is one."""
         self._late_looks = 0 if is_fresh else self._late_looks + 1
         if beat is None or not self._is_armed:
             return None
         if not beat.is_active:
-            # Standing by it may be late or end as it likes, unless it has left the chassis on a command.
+            # A loop that stands by may be late or end, unless the chassis still holds its command.
             if not self._is_left(beat):
                 return None
             if is_alone:
@@ -185,19 +185,19 @@ class Guardian:
 
     def _give_up_if_in_vain(self, now_ns: int, *, is_superfluous: bool) -> None:
         if self._stopper.is_paused:
-            # For as long as the chassis lives: some day it is given back, and obeys its last command again.
+            # Wait as long as the chassis sends: once given back, it executes its last command again.
             self._began_ns = now_ns
         if is_superfluous:
-            # This process was the one that stood still, and the loop no longer counts on it.
-            self._stopper.give_up("given back to the gateway, after a pause of the guard itself")
+            # This process was the one that stood still; the loop no longer relies on it.
+            self._stopper.give_up("given back to the gateway after a pause of the guard itself")
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS and self._stopper.stays:
-            # The chassis executes its last command for ever: zero speed, in gear.
+            # The chassis holds its last command: zero speed, in gear.
             self._stopper.give_up(MOTOR)
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
             why = NOT_OBEYED if self._stopper.is_transmitting(now_ns) else "the bus takes no frames"
             self._stopper.give_up(f"given up: {why}")
         elif self._stopper.is_paused and now_ns - self._feedback_ns > GUARD_GIVES_UP_NS:
-            self._stopper.give_up("given up: the remote control had the robot, and it is not heard any more")
+            self._stopper.give_up("given up: the remote control had the robot, and its feedback has ended")
         if self._stopper.is_over:
             self._finish()
 

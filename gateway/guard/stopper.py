@@ -1,4 +1,4 @@
-"""The beats of loop and guard, and one stop sequence on the bus, which ``cruiser halt`` runs too. Pure."""
+"""The heartbeats of loop and guard, and one stop sequence on the bus, which ``cruiser halt`` runs too. Pure."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class Beat(msgspec.Struct, frozen=True):
     """The loop's sign of life, each tick, after it has sent.
 
     Attributes:
-        now_ns: monotonic, when the loop had sent.
-        is_active: the chassis is under command, or was in the tick before and that was the end of a stop.
+        now_ns: monotonic, after the loop has sent.
+        is_active: the chassis is under command, or was until the tick before, where a stop ended.
         told_ns: when the bus last accepted a whole burst.
-        is_left: the chassis was left to somebody else with the command ``last``, and may execute that again.
+        is_left: another controller took the chassis over while it held the command ``last``, and may give it back.
         is_mute: the output cannot be sent; the guard has to act at once.
-        last: the chassis's last command; at rest if that is over and done.
+        last: the chassis's last command; AT_REST if it no longer counts.
         counters: the next alive counter of each command frame, in the layout's order.
-        is_released: a stop has given the robot back to its motor, for the parking brake does not hold it.
-        returns: so many times the robot moved in this stop when the enables were gone.
+        is_released: the stop holds the robot by its motor, because the parking brake does not hold it.
+        returns: how often the robot moved in this stop after the enables were gone.
     """
 
     now_ns: int
@@ -49,7 +49,7 @@ class Beat(msgspec.Struct, frozen=True):
 
 
 class Cause(Enum):
-    """Causes for which the guard acts, in words."""
+    """Causes for a stop by the guard, as text."""
 
     NONE = "it has not acted"
     LATE = "the gateway's loop gave no sign of life"
@@ -58,7 +58,7 @@ class Cause(Enum):
 
 
 class StopOutcome(Enum):
-    """Ends of the guard's stop, in words."""
+    """Outcomes of a stop by the guard, as text."""
 
     NONE = ""
     STANDS = "the robot stands"
@@ -70,13 +70,13 @@ class StopOutcome(Enum):
 
 
 class GuardView(msgspec.Struct, frozen=True):
-    """The guard, as the loop sees it at one time.
+    """The guard as the loop sees it.
 
     Attributes:
-        is_watching: it lives, has its bus and receives feedback: it would stop the robot in our place.
-        is_sending: it does so now, and we must be silent. One that gives no sign of life any more is not.
-        stops: number of stops that it has begun since the start.
-        says: why it last did, and how that ended; empty if it never did.
+        is_watching: it is alive, has its bus and receives feedback: it would stop the robot.
+        is_sending: it is alive and stops the robot; the loop must not send.
+        stops: stops begun since the start.
+        says: cause and outcome of the last stop; empty if there was none.
     """
 
     is_watching: bool = False
@@ -90,10 +90,9 @@ class GuardStatus(msgspec.Struct, frozen=True):
 
     Attributes:
         is_ready: its bus is open and it receives feedback.
-        is_sending: it stops the robot; the loop must not send. Also while it waits for the remote control to
-            give the robot back.
-        cause: of the last one, or of the one under way.
-        outcome: the end of the last one; NONE while one is under way.
+        is_sending: it stops the robot, or waits for the remote control to give it back; the loop must not send.
+        cause: of the current or last stop.
+        outcome: of the last stop; NONE while one is under way.
     """
 
     now_ns: int
@@ -105,7 +104,7 @@ class GuardStatus(msgspec.Struct, frozen=True):
 
     @property
     def says(self) -> str:
-        """Cause and outcome in words; empty if it has not acted."""
+        """Cause and outcome as text; empty if there was no stop."""
         return "" if self.cause is Cause.NONE else "; ".join(filter(None, (self.cause.value, self.outcome.value)))
 
 
@@ -119,21 +118,21 @@ MOTOR: Final = StopOutcome.MOTOR.value
 NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
 """Ends of a stop, and reasons to wait."""
 
-_HEARD_AHEAD_MAX: Final = 3
-"""A counter received from the bus may be this far ahead of the heartbeat's: the gateway died between the two."""
+_AHEAD_MAX: Final = 3
+"""Lead of a counter on the bus over the heartbeat's, where the gateway died between the two."""
 
 
 class Stopper:
     """Brings the robot to rest, frame by frame, from its last command, and never faster than its measured speed.
 
-    An old command counts for little: a robot that others have brought to rest meanwhile must not be set going by a
-    ramp from an old speed. So a stop that begins late, or was held up, reads the feedback first. While the remote
-    control (RC) has the robot it waits: the chassis keeps its last command, and executes it afterwards.
+    A ramp from an old speed must not set a resting robot moving: a stop that begins late or was interrupted reads
+    the feedback first. While the remote control (RC) has the robot the stop waits, because the chassis executes
+    its last command afterwards.
 
     Attributes:
         is_over: nothing more is to be sent.
-        is_paused: nothing is sent, for the remote control has the robot.
-        outcome: its end, in words; empty before.
+        is_paused: nothing is sent, because the remote control has the robot.
+        outcome: as text; empty before the end.
     """
 
     def __init__(self, chassis: Chassis, view: BusView, settings: CommandSettings) -> None:
@@ -142,16 +141,16 @@ class Stopper:
         self._deceleration_mps2 = MotionLimits.of(settings).emergency_deceleration_mps2
         self._maker = chassis.maker()
         self._gate = chassis.gate(False)  # noqa: FBT003 - a value of the chassis takes no keywords
-        # The chassis keeps these for ever too, and nobody else ends them any more.
+        # The chassis holds these too until they are ended.
         self._last = (chassis.hazard, chassis.horn[False], chassis.odometer[False])
         self._sequence: StopSequence | None = None
         self._before: StopSequence | None = None
         self._variant = Variant.UNKNOWN
-        # What the chassis was last told, and when; None if nobody knows.
+        # The chassis's last command and its time; None if unknown.
         self._told: Actuation | None = None
         self._told_ns: int | None = None
         self._actuation = AT_REST
-        # When a sequence began, or the last burst of it was taken.
+        # Start of the sequence, or the time of its last accepted burst.
         self._went_on_ns = self._look_until_ns = self._paused_ns = self._due_ns = 0
         self._bursts_off = self._partings = 0
         self._offered: list[Frame] = []
@@ -175,19 +174,19 @@ class Stopper:
         """Begin to stop.
 
         Args:
-            last: the chassis's last command, as far as is known; used with caution. None if unknown.
-            variant: while it is not known only zero speed is sent.
-            counters: the next alive counters in the layout's order; None if they are known from the bus only.
-            told_ns: when ``last`` was sent; just now if left out.
-            is_released: the robot was given back to its motor, for its parking brake does not hold it.
-            returns: so many times it moved before when the enables were gone.
+            last: the chassis's last command; None if unknown.
+            variant: while it is UNKNOWN only zero speed is sent.
+            counters: the next alive counters in the layout's order; None to take them from the bus.
+            told_ns: when ``last`` was sent; ``now_ns`` by default.
+            is_released: the motor holds the robot, because its parking brake does not.
+            returns: how often it has moved after the enables were gone.
         """
         self._is_released, self._returns = is_released, returns
         self._may_release = last is not None and not is_released
         self._variant = variant
         self._told = last
         self._told_ns = now_ns if told_ns is None else told_ns
-        # What was sent by others is not this gate's to judge: it begins anew.
+        # A new gate: frames sent by others do not count for it.
         self._gate = self._chassis.gate(self._may_release)
         self._maker.counters, self._maker.is_torn = self._counters(counters, now_ns), False
         self._due_ns = now_ns
@@ -197,7 +196,7 @@ class Stopper:
         self._look(now_ns)
 
     def tick(self, now_ns: int) -> list[Frame]:
-        """The frames that are due now; none between two ticks of the bus, and none once it is over."""
+        """Return the frames due now; none between two bus ticks or after the end."""
         if self.is_over:
             return []
         stands = self._view.stands(self._variant, now_ns)
@@ -220,7 +219,7 @@ class Stopper:
             return []
         is_held = self._view.is_braked(now_ns) is not False and not self._view.moves(self._variant, now_ns)
         if self._view.mode(now_ns) is Mode.STOP and not is_held:
-            # Nobody commands it, and nothing holds it: the parking brake is told all the same.
+            # Nothing commands or holds it: request the parking brake all the same.
             self._sequence.park(now_ns)
         self._before = copy(self._sequence)
         actuation = self._sequence.tick(now_ns, self._stop_feedback(now_ns, stands=stands))
@@ -237,13 +236,13 @@ class Stopper:
         return self._offered
 
     def _part(self, now_ns: int) -> list[Frame]:
-        """Leave no speed in a chassis that the remote control has, which executes it when it is given back."""
+        """Command zero speed to a chassis that the remote control has: it executes that when it is given back."""
         left = self._actuation if self._sequence is not None else self._told
         if not self._partings or left is None or not left.enabled:
             return []
         self._partings -= 1
         self._before = self._sequence
-        # Where the motor alone held it, the parking brake would let it roll once it is given back.
+        # Where only the motor held it, the parking brake would let it roll once it is given back.
         is_released = self._sequence is not None and self._sequence.phase is StopPhase.MOTOR
         self._actuation = replace(self._possible(left), speed_mps=0.0, parking=not is_released)
         frames = self._maker.make(self._actuation, [], self._variant)
@@ -251,13 +250,13 @@ class Stopper:
         return self._offered
 
     def sent(self, count: int, now_ns: int) -> None:
-        """So many of the frames of this tick were taken by the bus."""
+        """Note that the bus accepted the first ``count`` frames of this tick."""
         sent = self._offered[:count]
         if count >= len(self._chassis.motion_frames):
             self._told, self._told_ns, self._went_on_ns = self._actuation, now_ns, now_ns
             self._bursts_off += count == len(self._offered)
         elif self._offered:
-            # The chassis was not told: a stop that nobody heard must not go on to neutral.
+            # The command did not arrive: the stop must not proceed to neutral.
             stepped, self._sequence = self._sequence, self._before
             if sent and stepped is not None and self._before is not None:
                 self._sequence = stepped.after_part(self._before, self._actuation.speed_mps)
@@ -267,7 +266,7 @@ class Stopper:
         self.frames += len(sent)
 
     def _is_held(self, mode: Mode, now_ns: int) -> bool:
-        """Nothing may be sent now, for the remote control has the robot, or has had it and nothing is seen."""
+        """Return True if nothing may be sent: the remote control has the robot, or had it and is unseen."""
         if mode is Mode.REMOTE and not self.is_paused:
             self.is_paused, self._paused_ns = True, now_ns
             self._partings = YIELD_BURSTS
@@ -279,21 +278,21 @@ class Stopper:
             return True
         if mode not in {Mode.AUTO, Mode.STOP}:
             return True
-        # Whatever it obeys now, it shall not move: zero speed at once, and no ramp.
+        # Zero speed at once, without a ramp, whatever command the chassis holds.
         self.is_paused = False
         self._told, self._told_ns = replace(self._told or AT_REST, speed_mps=0.0), None
         self._look(now_ns)
         return False
 
     def _look(self, now_ns: int) -> None:
-        """Begin, or begin again, once it is known from what."""
+        """Restart the sequence once its starting point is known."""
         self._sequence = None
         self._look_until_ns = now_ns + GUARD_LOOK_NS
         self._bursts_off = 0
         self._gate.pause()
 
     def _start(self, mode: Mode, now_ns: int) -> bool:
-        """Begin the sequence, unless what there is to know may still come."""
+        """Begin the sequence, unless feedback that decides its start may still arrive."""
         told, told_ns = self._told, self._told_ns
         first = told if told_ns is not None and now_ns - told_ns <= GUARD_SILENT_NS else None
         if first is None:
@@ -318,13 +317,13 @@ class Stopper:
             and self._view.is_braked(now_ns)
             and not self._view.moves(self._variant, now_ns)
         ):
-            # It obeys nobody, and its brake holds it: enables would only switch it back to auto.
+            # In mode stop and held by its brake: enables would only switch it back to auto.
             self._sequence.phase = StopPhase.DISABLE
         self._went_on_ns = now_ns
         return True
 
     def _seen(self, now_ns: int) -> Actuation:
-        """Infer the chassis's command from its feedback. One without feedback may stand, parked."""
+        """Infer the chassis's command from its feedback; without feedback assume that it is parked."""
         gear = self._view.gear(now_ns)
         speed_mps = self._view.slowest_mps(self._variant, now_ns) or 0.0
         return Actuation(
@@ -349,7 +348,7 @@ class Stopper:
         )
 
     def is_transmitting(self, now_ns: int) -> bool:
-        """The bus takes what is sent."""
+        """Report whether the bus accepts frames."""
         return now_ns - self._went_on_ns <= GUARD_SILENT_NS
 
     def give_up(self, outcome: str) -> None:
@@ -359,7 +358,7 @@ class Stopper:
 
     @property
     def stays(self) -> bool:
-        """The stop does not end by itself: the motor alone holds the robot."""
+        """The stop does not end: only the motor holds the robot."""
         return self._sequence is not None and self._sequence.stays
 
     @property
@@ -368,7 +367,7 @@ class Stopper:
         return StopPhase.IDLE if self._sequence is None or self.is_over else self._sequence.phase
 
     def _counters(self, counters: bytes | None, now_ns: int) -> dict[str, int]:
-        """Return the counters to continue with: those on the bus may be a little ahead of the known ones."""
+        """Return the counters to continue with; those on the bus may be slightly ahead of the known ones."""
         names, view = self._maker.counters, self._view
         if counters is None:
             return dict.fromkeys(names, 0) | view.next_counters
@@ -378,7 +377,7 @@ class Stopper:
         return {name: _further(counter, view.next_counters.get(name)) for name, counter in known.items()}
 
     def _possible(self, last: Actuation) -> Actuation:
-        """Limit the command to what the chassis can do: nothing in it may keep the stop from passing the gate."""
+        """Clamp the command to the chassis's limits, so that the stop always passes the gate."""
         top_mps, top_deg = self._chassis.top_speed_mps, self._chassis.top_angle_deg
         in_gear = last.gear in _MOVING_GEARS
         moves = in_gear and not last.parking and self._variant is not Variant.UNKNOWN
@@ -400,8 +399,8 @@ def _clamped(value: float, low: float, high: float) -> float:
     return max(low, min(high, value)) if isfinite(value) else 0.0
 
 
-def _further(known: int, heard: int | None) -> int:
-    """Return the counter to continue with: the received one if it is a little ahead, else the known one."""
-    if heard is not None and (heard - known) % COUNTER_SPAN <= _HEARD_AHEAD_MAX:
-        return heard
+def _further(known: int, received: int | None) -> int:
+    """Return the counter to continue with: the received one if it is slightly ahead, else the known one."""
+    if received is not None and (received - known) % COUNTER_SPAN <= _AHEAD_MAX:
+        return received
     return known

@@ -1,8 +1,8 @@
-"""The guard's process: the memory that it shares with the gateway, its loop, its start.
+"""The guard's process: its shared memory with the gateway, its loop and its start.
 
-The shared memory has the loop's beats one way, the guard's status the other. Each way has two slots, written in
-turn, each with a number and a checksum. A writer that is killed half-way leaves the other slot whole, and what is
-half written, or seen out of order by another core, is never believed.
+The shared memory carries the loop's beats one way and the guard's status the other. Each way has two slots,
+written in turn, each with a number and a checksum. A writer that is killed half-way leaves the other slot whole; a
+torn or reordered write fails its checksum.
 
 ``python -m gateway.host.guard_main DESCRIPTOR`` is started by the gateway; its settings come on stdin.
 """
@@ -94,10 +94,10 @@ class Heartbeat:
 
     @classmethod
     def create(cls) -> Self:
-        """New memory, which no file names and nobody can resize.
+        """Create anonymous memory of a sealed size.
 
         Any process of the same user can open it through /proc. If it could be truncated, the next access would
-        kill gateway and guard alike (SIGBUS), and nobody would be left to stop the robot.
+        kill both gateway and guard (SIGBUS), and neither could stop the robot.
         """
         descriptor = os.memfd_create("cruiser-heartbeat", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
         os.ftruncate(descriptor, SIZE_BYTES)
@@ -105,12 +105,12 @@ class Heartbeat:
         return cls(descriptor)
 
     def close(self) -> None:
-        """Let go of the memory; the other side keeps it."""
+        """Close this side's handle; the memory stays with the other side."""
         self._memory.close()
         os.close(self.descriptor)
 
     def write_beat(self, beat: Beat) -> None:
-        """The loop lives."""
+        """Write the loop's heartbeat."""
         self._beats.write(beat)
 
     def read_beat(self) -> Beat | None:
@@ -118,7 +118,7 @@ class Heartbeat:
         return self._beats.read()
 
     def write_status(self, status: GuardStatus) -> None:
-        """The guard lives."""
+        """Write the guard's status."""
         self._status.write(status)
 
     def read_status(self) -> GuardStatus | None:
@@ -127,11 +127,11 @@ class Heartbeat:
 
 
 _SKIP_MAX_FRAMES: Final = 100_000
-"""More than any socket holds: an end there must be, also on a bus that fills faster than it is read."""
+"""More than any socket holds: bounds the loop on a bus that fills faster than it is read."""
 
 
 class GuardBus(Protocol):
-    """The guard's own handle of the bus: it never fails, it is up or it is not."""
+    """The guard's bus handle. It never raises: it is up or down."""
 
     is_up: bool
 
@@ -139,7 +139,7 @@ class GuardBus(Protocol):
         """The next frame, or None if there was none in time."""
 
     def send(self, frames: list[Frame]) -> int:
-        """Hand frames to the bus, without waiting. Returns how many it took."""
+        """Hand frames to the bus, without waiting. Returns the number it accepted."""
 
 
 class Memory(Protocol):
@@ -149,7 +149,7 @@ class Memory(Protocol):
         """The loop's newest beat."""
 
     def write_status(self, status: GuardStatus) -> None:
-        """Tell the loop."""
+        """Write the guard's status."""
 
 
 def run(
@@ -176,7 +176,7 @@ def run(
         if asked_to_end():
             guardian.ask_to_end()
         frames = guardian.tick(memory.read_beat(), now_ns, parent_lives=parent_lives(), bus_up=bus.is_up)
-        # First the word, then the deed: a loop that comes back sees that it must not send.
+        # The status comes before the frames, so that a loop that recovers sees that it must not send.
         memory.write_status(guardian.status(now_ns, bus_up=bus.is_up))
         if frames:
             guardian.sent(bus.send(frames), now_ns)
@@ -193,7 +193,7 @@ def _skip_what_waits(bus: GuardBus) -> None:
 
 
 def stop_alone(bus: GuardBus, stopper: Stopper, view: BusView, is_relieved: Callable[[], bool]) -> str:
-    """Bring the robot to rest with a stop that has begun, from the process that drove it. Returns how it ended."""
+    """Carry through a stop from the process that drove the robot, and return its outcome."""
     monotonic_ns = time.monotonic_ns
     end_ns = monotonic_ns() + GUARD_GIVES_UP_NS
     while not stopper.is_over:
@@ -217,7 +217,7 @@ _PRIORITY_MAX: Final = 99
 
 
 class GuardOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The order of the gateway to its guard, on stdin."""
+    """The gateway's instructions to its guard, on stdin."""
 
     parent: int
     settings: Settings
@@ -241,7 +241,7 @@ class _Asked:
 
 
 def say(line: str) -> None:
-    """A line on stderr, or nowhere if that takes none: a full pipe must not hold up a stop."""
+    """Write a line to stderr, or drop it: a full pipe must not delay a stop."""
     poll = select.poll()
     poll.register(_STDERR, select.POLLOUT)
     try:
@@ -293,7 +293,7 @@ def _first_bus(settings: Settings) -> Bus | None:
 
 
 def _spare_from_memory_killer() -> None:
-    """Where memory runs out, this process is the last to go, if the system lets it say so."""
+    """Make this process the last that the kernel kills when memory runs out, if permitted."""
     try:
         Path("/proc/self/oom_score_adj").write_text("-1000", encoding="ascii")
     except OSError:

@@ -1,4 +1,4 @@
-"""The gateway's side of the guard: start it, watch it, and follow that of a gateway that died."""
+"""The gateway's side of the guard: start it, watch it, and follow the guard of a gateway that died."""
 
 from __future__ import annotations
 
@@ -29,27 +29,27 @@ from schemas.settings import GUARD_HANGS_TICKS, GUARD_RESTART_NS, GUARD_SILENT_N
 log = logging.getLogger(__name__)
 
 SHARED_INTERFACES: Final = frozenset({"socketcan", "socketcand"})
-"""Interfaces of python-can whose bus several processes can open at once. On any other there is no guard."""
+"""Interfaces whose bus several processes can open at once. On any other there is no guard."""
 
 END_TIMEOUT_S: Final = 1.0
-"""A guard at rest ends well within this time."""
+"""Wait for an idle guard to exit."""
 
 
 class NoGuard:
-    """No guard can watch here."""
+    """Stands for a guard where none can run."""
 
     def __init__(self, why_not: str) -> None:
         self.why_not = why_not
 
     def look(self) -> GuardView:
-        """Nobody watches."""
+        """Report that no guard watches."""
         return GuardView()
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
-        """Nobody listens."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 class _Child(msgspec.Struct, frozen=True):
@@ -60,7 +60,7 @@ class _Child(msgspec.Struct, frozen=True):
 
 
 class GuardProcess:
-    """A guard that was started; one that is gone or hangs is replaced while the robot is told nothing."""
+    """A running guard. If it exits or hangs, it is replaced while no commands are sent to the robot."""
 
     why_not = ""
 
@@ -83,7 +83,7 @@ class GuardProcess:
         return self._process.pid
 
     def look(self) -> GuardView:
-        """Return its state now. Its status is read once for all questions of a tick: that takes microseconds."""
+        """Return the guard's state, once per tick: reading it takes microseconds."""
         status = self._memory.read_status()
         if status is None:
             return GuardView(stops=self._stops_before)
@@ -96,7 +96,7 @@ class GuardProcess:
         )
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
-        """The loop lives, and has sent what it had to."""
+        """Write a heartbeat after the loop has sent."""
         arbiter = command.arbiter
         sequence = arbiter.output.sequence
         self._is_released = sequence is not None and sequence.phase is StopPhase.MOTOR
@@ -122,14 +122,11 @@ class GuardProcess:
         left: Actuation | None = None,
         is_mute: bool = False,
     ) -> None:
-        """The loop lives, and has sent what it had to.
+        """Write a heartbeat with these values; see ``Beat``.
 
         Args:
-            actuation: what the chassis was told in this tick; None for silence.
-            counters: the next alive counter of each command frame, in the layout's order.
-            told_ns: when a whole burst was last taken by the bus.
-            left: what it had been told when it was left to somebody else, while it may obey that again.
-            is_mute: what has to be sent cannot be: the guard acts at once.
+            actuation: the command of this tick; None for silence.
+            left: the chassis's last command when another controller took it over, while it may execute it again.
         """
         is_told = actuation is not None or is_mute
         is_active = is_told or (self._was_told and left is None)
@@ -157,7 +154,7 @@ class GuardProcess:
             self._replace_if_gone(now_ns)
 
     def close(self) -> None:
-        """The gateway ends. A guard that has nothing to do ends with it; one that stops the robot goes on."""
+        """Announce the gateway's end. An idle guard exits with it; one that stops the robot carries on."""
         if self._starting is not None:
             self._starting.join()
             self._take_started()
@@ -165,13 +162,15 @@ class GuardProcess:
         try:
             self._process.wait(0 if self._newest.is_active else END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            # One that the loop never spoke to has nothing to do; on a busy machine it is still starting.
+            # A guard without any heartbeat is idle; on a busy computer it is still starting.
             if self._newest.now_ns:
-                log.warning("the guard (process %d) is still at work; it ends by itself", self._process.pid)
+                log.warning(
+                    "the guard (process %d) is still stopping the robot, and exits afterwards", self._process.pid
+                )
         self._memory.close()
 
     def _replace_if_gone(self, now_ns: int) -> None:
-        """Starting a process takes milliseconds: so it is on a thread, and never while the robot is driven."""
+        """Replace a guard that exited or hangs, on a thread: starting a process takes milliseconds."""
         if self._starting is not None:
             if not self._starting.is_alive():
                 self._take_started()
@@ -180,7 +179,7 @@ class GuardProcess:
         if status is not None and _is_alive(status):
             self._silent_ticks = 0
             return
-        # One that starts slowly has given no sign yet, and does not hang.
+        # A guard that is still starting has no status yet, and does not hang.
         self._silent_ticks += status is not None
         is_gone = self._silent_ticks >= GUARD_HANGS_TICKS or self._process.poll() is not None
         if is_gone and now_ns - self._started_ns > GUARD_RESTART_NS:
@@ -190,7 +189,7 @@ class GuardProcess:
 
     def _start_again(self) -> None:
         log.warning("the guard (process %d) is gone or hangs; starting another", self._process.pid)
-        # One that hangs must not wake up beside the next.
+        # A hanging guard must not wake up beside its successor.
         self._process.kill()
         self._process.wait()
         try:
@@ -210,7 +209,7 @@ class GuardProcess:
 
 
 GuardLink = GuardProcess | NoGuard
-"""The gateway's side of the guard. Nothing of it blocks, but for ``close``."""
+"""The gateway's side of the guard. Only ``close`` may block."""
 
 
 def _is_alive(status: GuardStatus) -> bool:
@@ -218,7 +217,7 @@ def _is_alive(status: GuardStatus) -> bool:
 
 
 def start_guard(settings: Settings) -> GuardLink:
-    """Start the guard; it watches some time later. Where none can be, the link says why, and never watches."""
+    """Start the guard. Where none can run, ``why_not`` of the link has the reason."""
     if settings.gateway.listen_only:
         return NoGuard("the gateway only listens")
     if settings.can.interface not in SHARED_INTERFACES:
@@ -230,10 +229,9 @@ def start_guard(settings: Settings) -> GuardLink:
 
 
 def _start_child(settings: Settings) -> _Child:
-    """A new process of the guard. Raises OSError: there is none, or it has ended at once."""
+    """Start a guard process. Raises OSError if it cannot be started or exits at once."""
     memory = Heartbeat.create()
-    # Not a fork of this process, which has threads; and no descriptor of its bus or of Zenoh goes along.
-    # The modules come from where ours do.
+    # No fork: this process has threads, and descriptors of its bus and of Zenoh. The module path is ours.
     try:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
             module_command("gateway.host.guard_main", str(memory.descriptor)),
@@ -260,7 +258,7 @@ def _start_child(settings: Settings) -> _Child:
 
 
 STOP_MAX_S: Final = 10.0
-"""A guard that has said nothing for so long is not waited for: a stop from the highest speed takes half of it."""
+"""Longest wait for a former guard after its last line; a stop from the highest speed takes half of it."""
 
 _POLL_S: Final = 0.05
 
@@ -269,15 +267,15 @@ _DONE: Final = (f"{_OURS}done: ", f"{_OURS}given up: ")
 
 
 class FormerGuard:
-    """Reads in the note that a guard begins or ends a stop. The disk is read on a thread of its own.
+    """Follows the guard of a gateway that died, by the lines in its note. A thread reads the disk.
 
     Attributes:
-        is_stopping: it has begun a stop lately, and has not said how that ended.
-        says: how it ended; empty until it is known, and where the stop was over before this start.
+        is_stopping: it began a stop recently, and no outcome is noted yet.
+        says: the outcome; empty until it is known, and where the stop was over before this start.
     """
 
     def __init__(self, note: StopNote, realtime_priority: int = 0) -> None:
-        """Look once, and if a stop is under way, on a thread with the main thread's priority."""
+        """Read the note once; while a stop is under way a thread with this priority reads it again."""
         self.says = ""
         self._realtime_priority = realtime_priority
         left_s = _left_s(note)
@@ -290,7 +288,7 @@ class FormerGuard:
             self._thread.start()
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop reading the note."""
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join(_POLL_S * 2)
@@ -306,7 +304,7 @@ class FormerGuard:
 
 
 def _left_s(note: StopNote) -> float:
-    """For how long a guard is to be waited for that stops the robot by now; 0 if none does."""
+    """Return the longest wait for a stop under way; 0 if there is none."""
     last = note.last()
     if last is None or not last[1].startswith(_OURS) or last[1].startswith(_DONE):
         return 0.0

@@ -1,4 +1,4 @@
-"""Facts for the doctor: the bus as it is, without sending anything; the computer as it is."""
+"""Collect facts for the doctor: the bus, without sending anything, and the computer."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from schemas.settings import TICK_NS, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 
 Runner = Callable[[Sequence[str]], str | None]
-"""Runs a program of the system. Returns what it printed; None if it is not there or failed."""
+"""Run a system program. Returns its output; None if it is missing or failed."""
 
 IFF_UP: Final = 1
 
 LOOKS_MAX: Final = 3
-"""Seconds, of one look each."""
+"""At one a second."""
 
 NETWORKS: Final = Path("/sys/class/net")
 
@@ -49,7 +49,7 @@ CAN_KIND: Final = "280"
 
 
 def look_at_interface(settings: Settings, run: Runner, networks: Path = NETWORKS) -> CanInterface | None:
-    """Look at the interface of the settings. None where it is none of the kernel's."""
+    """Inspect the interface of the settings. Returns None if it is not a kernel interface."""
     name = settings.can.channel
     if settings.can.interface != SOCKETCAN:
         return None
@@ -61,14 +61,14 @@ def look_at_interface(settings: Settings, run: Runner, networks: Path = NETWORKS
         queue_frames = int((place / "tx_queue_len").read_text("ascii"))
     except (OSError, ValueError):
         return CanInterface()
-    about = _link_of(run, name)
+    link = _link_of(run, name)
     return CanInterface(
         is_present=True,
         is_up=is_up,
-        is_virtual=about.info_kind != "can",
-        bitrate=about.info_data.bittiming.get("bitrate"),
-        controller=about.info_data.state,
-        restart_ms=about.info_data.restart_ms,
+        is_virtual=link.info_kind != "can",
+        bitrate=link.info_data.bittiming.get("bitrate"),
+        controller=link.info_data.state,
+        restart_ms=link.info_data.restart_ms,
         queue_frames=queue_frames,
     )
 
@@ -89,7 +89,7 @@ class _Link(msgspec.Struct, frozen=True):
 
 
 def _link_of(run: Runner, name: str) -> _LinkInfo:
-    """Return iproute2's description of an interface; empty where it is not installed."""
+    """Return iproute2's description of an interface; empty if iproute2 is not installed."""
     try:
         printed = run(["ip", "-details", "-json", "link", "show", "dev", name]) or "[]"
         return next(iter(msgspec.json.decode(printed, type=list[_Link])), _Link()).linkinfo
@@ -118,10 +118,9 @@ def listen(
     opener: Callable[[Settings], Bus] = lambda settings: open_bus(settings.can),
     monotonic_ns: Callable[[], int] = time.monotonic_ns,
 ) -> BusReport:
-    """Listen for a second, through the gateway's own telemetry, which supervises and decodes.
+    """Listen for a second, with the gateway's own decoding and supervision.
 
-    Where the chassis is heard and a frame that is needed is not, it is listened for three: on a busy computer
-    frames come late.
+    If some required frames are missing, listen for three seconds: on a busy computer frames arrive late.
     """
     try:
         with closing(opener(settings)) as bus:
@@ -159,9 +158,9 @@ def _listen(
 
 
 def _is_incomplete(health: GatewayHealth, settings: Settings) -> bool:
-    """Report whether some of the feedback comes, and some that is needed does not."""
-    heard = {row.name for row in health.feedback if row.valid and not row.silent}
-    return bool(heard) and not heard.issuperset(settings.chassis.required_feedback)
+    """Report whether some of the feedback arrives, but not all that is required."""
+    seen = {row.name for row in health.feedback if row.valid and not row.silent}
+    return bool(seen) and not seen.issuperset(settings.chassis.required_feedback)
 
 
 def _message(sample: Sample) -> Message | None:
@@ -189,14 +188,14 @@ LOGS: Final = ("*.mcap", "*.mcap.part")
 
 FAILED: Final = "d9b373ed55a64feb8242e02dbe79a49c"
 SHUTTING_DOWN: Final = ("98268866d1d54a499c4e98921d93bc40", "d93fb3c9c24d451a97cea615ce59c00b")
-"""Of systemd's messages (``journalctl --catalog``): a unit has failed; the system goes down, the journal ends."""
+"""Message identifiers (``journalctl --catalog``): a unit failed; the system shuts down, the journal stops."""
 
 RECOVERED: Final = "EXT4-fs .*: recovery complete"
-"""Said by the kernel when it mounts a file system that was in use to the last."""
+"""The kernel's message when it mounts a file system that was not unmounted."""
 
 
 def run_program(words: Sequence[str]) -> str | None:
-    """Run a program of the system. Returns what it printed; None if it is not there or failed."""
+    """Run a system program. Returns its output; None if it is missing or failed."""
     try:
         done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
             list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
@@ -207,13 +206,13 @@ def run_program(words: Sequence[str]) -> str | None:
 
 
 def is_synchronised(run: Runner) -> bool | None:
-    """Report whether a time server, any, keeps the kernel's clock. None if systemd does not say."""
-    said = run(["timedatectl", "show", "--property=NTPSynchronized", "--value"])
-    return None if not said else said.strip() == "yes"
+    """Report whether the clock is synchronised with a time server. None if systemd does not know."""
+    printed = run(["timedatectl", "show", "--property=NTPSynchronized", "--value"])
+    return None if not printed else printed.strip() == "yes"
 
 
 def earliest_s(settings: Settings) -> float:
-    """Return a time that is past for certain: of this installation, or of the authority, seconds since 1970."""
+    """Return the installation's time or the authority's newest, seconds since 1970: both are certainly past."""
     installed_s = Path(__file__).stat().st_mtime
     if settings.authority.mode != "signed":
         return installed_s
@@ -225,7 +224,7 @@ def earliest_s(settings: Settings) -> float:
 
 
 def look_at_disk(directory: Path) -> LogDisk:
-    """Look at the file system of the logs."""
+    """Inspect the file system of the logs."""
     shown = plain(str(directory))
     try:
         found = os.statvfs(directory)
@@ -241,25 +240,25 @@ def look_at_disk(directory: Path) -> LogDisk:
 
 
 def look_at_units(run: Runner = run_program) -> list[ServiceUnit]:
-    """Look at our services, those that are enabled or run; none where there is no systemd."""
+    """Inspect our services that are enabled or running; none without systemd."""
     wanted = "LoadState,ActiveState,UnitFileState,Result,NRestarts"
     units = []
     for name in UNITS:
         lines = (run(["systemctl", "show", "--property", wanted, name]) or "").splitlines()
-        said = dict(line.split("=", 1) for line in lines if "=" in line)
-        is_ours = said.get("LoadState") == "loaded"
-        if is_ours and (said.get("UnitFileState", "").startswith("enabled") or said["ActiveState"] != "inactive"):
-            restarts = int(said.get("NRestarts", "0") or 0)
-            result, ended_s = said.get("Result", "success"), None
+        unit = dict(line.split("=", 1) for line in lines if "=" in line)
+        is_ours = unit.get("LoadState") == "loaded"
+        if is_ours and (unit.get("UnitFileState", "").startswith("enabled") or unit["ActiveState"] != "inactive"):
+            restarts = int(unit.get("NRestarts", "0") or 0)
+            result, ended_s = unit.get("Result", "success"), None
             if restarts:
-                # systemd forgets at the start why it was.
+                # systemd drops the result at the next start.
                 result, ended_s = _last_failure(name, run) or (result, None)
-            units.append(ServiceUnit(name, said.get("ActiveState", ""), result, restarts, ended_s))
+            units.append(ServiceUnit(name, unit.get("ActiveState", ""), result, restarts, ended_s))
     return units
 
 
 def _last_failure(unit: str, run: Runner) -> tuple[str, float] | None:
-    """Return why a unit failed last since the boot, and when; None if the journal does not say."""
+    """Return result and time of a unit's last failure since the boot; None if the journal has none."""
     matches = [f"MESSAGE_ID={FAILED}", f"UNIT={unit}"]
     found = run(["journalctl", "--quiet", "--boot", "--lines=1", "--output=json", *matches])
     try:
@@ -270,31 +269,31 @@ def _last_failure(unit: str, run: Runner) -> tuple[str, float] | None:
 
 
 def booted_s() -> float:
-    """Return when this computer was started, by its clock of now, seconds since 1970."""
+    """Return the boot time of this computer, seconds since 1970."""
     return time.time() - time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def was_shut_down(run: Runner = run_program) -> bool | None:
-    """Report whether this computer was shut down before it was started; None if its journal does not say."""
-    # A journal lacks its last moments, and the whole run where that was short: file systems know it, too.
+    """Report whether this computer was shut down before it booted; None if its journal does not say."""
+    # The journal may lack a short run, or the end of one; a file system that was not unmounted tells it too.
     if run(["journalctl", "--quiet", "--boot", "--dmesg", "--lines=1", f"--grep={RECOVERED}"]):
         return False
     before = ["journalctl", "--quiet", "--boot=-1", "--lines=1", "--output=json", "_PID=1"]
     if not run(before):
-        # There is none, it is not kept, or not for everybody to read.
+        # No journal of that run, or none that this user may read.
         return None
     found = run([*before[:-1], *(f"MESSAGE_ID={one}" for one in SHUTTING_DOWN)])
     return None if found is None else bool(found)
 
 
 def look_at_stop_note(settings: Settings) -> str:
-    """Look at the note of a stop by the guard: its text in one line; empty if this user may read none."""
+    """Return the note of a stop by the guard in one line; empty if this user may not read it."""
     note = StopNote.of(settings)
     return note.read() if note.path is not None and os.access(note.path, os.R_OK) else ""
 
 
 def look_at_credentials(settings: Settings, files: Sequence[Path], now_s: float) -> list[Credential]:
-    """Look at the certificates of Zenoh files, with their keys, and at the robot's grant."""
+    """Inspect the certificates of Zenoh files, with their keys, and the robot's grant."""
     found = [_certificate(file, now_s) for file in files]
     if settings.authority.mode == "signed":
         found.append(_grant(directory_of(settings.authority), now_s))
@@ -329,7 +328,7 @@ def _grant(directory: Path, now_s: float) -> Credential:
 
 @contextmanager
 def owning(path: Path | None) -> Iterator[None]:
-    """Be the owner of a file, where root asks: keys are their owner's, and a service can do no more than that."""
+    """Act as the owner of a file where this process is root, as its service would: keys are for their owner."""
     try:
         status = None if path is None or os.geteuid() else path.stat()
     except OSError:

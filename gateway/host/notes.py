@@ -1,10 +1,10 @@
-"""Files that outlive a restart of the gateway, and the way in which they are written.
+"""Files that outlive a restart of the gateway, and how they are written.
 
-- A stop by the guard, or by ``cruiser halt``: a line for each thing that it says. While the file exists the stop
-  is latched, whatever it holds; a reset removes it. The guard writes it when the gateway is gone.
-- What the gateway latched: written at once, removed by the reset, so that no restart clears a latch.
-- The total mileage: one that is far off at a start may be that of another chassis, as where a computer was moved
-  or a configuration was copied with its name.
+- A stop by the guard, or by ``cruiser halt``: one line per message. While the file exists the stop is latched,
+  whatever its content; a reset removes it. The guard writes it without the gateway.
+- The gateway's latches: written at once and removed by the reset, so that no restart clears a latch.
+- The total mileage: a large difference at a start suggests another chassis, for instance where a computer was
+  moved, or a configuration was copied with its name.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from schemas.reasons import Reason
 from schemas.settings import MILEAGE_DIFFERS_KM, Settings
 
 WRITE_TIMEOUT_S: Final = 2.0
-"""The longest wait of a gateway that ends for a disk that stalls."""
+"""Longest wait for a stalled disk when the gateway ends."""
 
 
 def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None:
@@ -49,7 +49,7 @@ def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole, whatever happens, and make its directory. Raises OSError: it is as before."""
+    """Replace a file atomically, and make its directory. Raises OSError; the file is then unchanged."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     unfinished = path.with_suffix(".unfinished")
     descriptor = os.open(unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW, 0o600)
@@ -62,7 +62,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def sync_directory(directory: Path) -> None:
-    """Have the disk hold which files a directory has: a power cut undoes no change of before."""
+    """Sync a directory's entries, so that a power cut undoes no earlier change."""
     descriptor = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -76,7 +76,7 @@ Value = TypeVar("Value")
 
 
 class Aside(Generic[Value]):
-    """Writes one value after the other on a thread of its own: a disk that stalls must hold up nobody."""
+    """Writes values on a separate thread, in order: a stalled disk must not block the caller."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Aside(Generic[Value]):
         close_timeout_s: float = WRITE_TIMEOUT_S,
         realtime_priority: int = 0,
     ) -> None:
-        """Start the thread; its priority is the main thread's, lest it hold the interpreter while others run."""
+        """Start the thread at the main thread's priority, so that it never holds the interpreter for long."""
         self._write = write
         self._close_timeout_s = close_timeout_s
         self._realtime_priority = realtime_priority
@@ -95,15 +95,15 @@ class Aside(Generic[Value]):
 
     @property
     def waiting(self) -> int:
-        """Values that wait for the disk."""
+        """Number of values that wait for the disk."""
         return self._values.qsize()
 
     def add(self, value: Value) -> None:
-        """Have this written, without waiting."""
+        """Queue a value, without waiting."""
         self._values.put(value)
 
     def close(self) -> None:
-        """Wait until all is written, or until the disk has had its time."""
+        """Wait until all is written, within the time limit."""
         self._values.put(None)
         self._thread.join(self._close_timeout_s)
 
@@ -117,7 +117,7 @@ class Note:
     """A file of one robot in ``gateway.state_dir``.
 
     Attributes:
-        path: of the file; None if no note is kept.
+        path: None if there is no state directory.
     """
 
     ENDING: ClassVar[str]
@@ -127,7 +127,7 @@ class Note:
 
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:
-        """The note of the robot that the settings name."""
+        """Open the note of the robot in the settings."""
         directory = state_directory(settings.gateway.state_dir, environment)
         robot = f"{settings.robot.root}/{settings.robot.name}".replace("/", ".")
         return cls(None if directory is None else directory / f"{robot}.{cls.ENDING}")
@@ -141,22 +141,22 @@ class Note:
 
 
 STOP_NOTE_MAX_BYTES: Final = 2048
-"""A longer note is neither extended nor read to its end: its first lines say what happened."""
+"""A longer note is neither extended nor read further: its first lines say what happened."""
 
 STOP_WRITE_TIMEOUT_S: Final = 10.0
-"""The longest wait of a guard, or a halt, that has done for a disk that stalls."""
+"""Longest wait for a stalled disk when a guard, or a halt, ends."""
 
 CLEAR_TIMEOUT_S: Final = 1.0
-"""The longest wait of a gateway that ends for a disk that stalls; a note that stays latches once more."""
+"""Longest wait for a stalled disk when the gateway ends; a note that remains latches again."""
 
 
 class StopNote(Note):
-    """A stop by the guard or by a halt. Everything here may block for as long as the disk does."""
+    """A stop by the guard or by a halt. Every method may block as long as the disk does."""
 
     ENDING = "guard-stop"
 
     def why_not(self) -> str:
-        """Why no note can be kept, for people; empty if one can. Makes the directory."""
+        """Return why no note can be written; empty if one can. Makes the directory."""
         if self.path is None:
             return "gateway.state_dir is empty, or there is no home directory to take its place"
         try:
@@ -166,7 +166,7 @@ class StopNote(Note):
         return "" if os.access(self.path.parent, os.W_OK | os.X_OK) else f"{self.path.parent} cannot be written to"
 
     def read(self) -> str:
-        """Return the note's text in one line; empty if there is none. A damaged note is a note."""
+        """Return the note's text in one line; empty if there is none. A damaged note counts as a note."""
         if self.path is None:
             return ""
         try:
@@ -186,7 +186,7 @@ class StopNote(Note):
         return plain("; ".join(lines))
 
     def last(self) -> tuple[datetime, str] | None:
-        """The last line, and when it was added; None if there is none, or it is damaged."""
+        """Return the last line and its time; None if there is none or it is damaged."""
         try:
             content = b"" if self.path is None else self.path.read_bytes()[:STOP_NOTE_MAX_BYTES]
         except OSError:
@@ -198,7 +198,7 @@ class StopNote(Note):
         return datetime.fromisoformat(time), text
 
     def add(self, line: str) -> None:
-        """Add a line with the time of day; the file is there with its first line or not at all. Raises OSError."""
+        """Add a line with the time of day; the file appears with its first line. Raises OSError."""
         if self.path is None:
             return
         content = f"{datetime.now(UTC).isoformat(timespec='milliseconds')} {line}\n".encode()
@@ -212,7 +212,7 @@ class StopNote(Note):
             try:
                 _write_all(descriptor, content)
             finally:
-                # On a full disk the note is empty, and latches all the same.
+                # On a full disk the note is empty, but latches all the same.
                 unfinished.replace(self.path)
             sync_directory(self.path.parent)
         else:
@@ -221,7 +221,7 @@ class StopNote(Note):
 
 
 class NoteWriter(Aside[str]):
-    """Writes lines of a stop's note; the one line that says why another could not be written is a complaint."""
+    """Writes lines of a stop's note on a thread, and reports write errors to ``complain``."""
 
     def __init__(self, note: StopNote, complain: Callable[[str], None], realtime_priority: int = 0) -> None:
         def write(line: str) -> None:
@@ -234,7 +234,7 @@ class NoteWriter(Aside[str]):
 
 
 class NoteClearer:
-    """Removes the note when what it latched was reset; nothing blocks but ``close``."""
+    """Removes the note when its latch was reset. Only ``close`` blocks."""
 
     def __init__(self, note: StopNote) -> None:
         self._note = note
@@ -242,13 +242,13 @@ class NoteClearer:
         self._aside: Aside[bool] = Aside("note-clearer", self._clear, CLEAR_TIMEOUT_S)
 
     def follow(self, *, is_latched: bool) -> None:
-        """Each tick: whether a stop by the guard is latched."""
+        """Note, each tick, whether a stop by the guard is latched."""
         if self._was_latched and not is_latched:
             self._aside.add(True)  # noqa: FBT003 - any value
         self._was_latched = is_latched
 
     def close(self) -> None:
-        """Wait until the note is removed, or until the disk has had its time."""
+        """Wait until the note is removed, within the time limit."""
         self._aside.close()
 
     def _clear(self, _is_reset: bool) -> None:  # noqa: FBT001 - any value
@@ -259,7 +259,7 @@ class NoteClearer:
 
 
 def _is_whole(line: str) -> bool:
-    """A line of a note begins with its time, and all of it can be printed."""
+    """Check that a line of a note begins with its time and is printable."""
     try:
         datetime.fromisoformat(line.partition(" ")[0])
     except ValueError:
@@ -280,7 +280,7 @@ LATCH_NOTE_MAX_BYTES: Final = 65_536
 
 
 class LatchNote(Note):
-    """The latches in force, written aside."""
+    """The latches in force."""
 
     ENDING = "latched.json"
 
@@ -291,36 +291,36 @@ class LatchNote(Note):
         self._aside = Aside("latch-note", self._store)
 
     def read(self) -> dict[Reason, str]:
-        """Return what was latched, with the details, oldest first. A note that cannot be read latches a stop."""
+        """Return the latches with their details, oldest first. A note that cannot be read latches a stop."""
         if self.path is None:
             return {}
         try:
             with self.path.open("rb") as file:
                 content = file.read(LATCH_NOTE_MAX_BYTES)
-            said = msgspec.json.decode(content, type=dict[str, str])
-            self._last = {Reason(name): plain(detail) for name, detail in said.items()}
+            found = msgspec.json.decode(content, type=dict[str, str])
+            self._last = {Reason(name): plain(detail) for name, detail in found.items()}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as error:
             why = error.strerror if isinstance(error, OSError) else "it is damaged"
-            # So the note is written anew, and a reset removes it.
+            # ``follow`` then writes the note again, and a reset removes it.
             return {Reason.REMOTE_STOP: f"the note of what was latched cannot be read: {self.path}: {why}"}
         return dict(self._last)
 
     def follow(self, latched: Mapping[Reason, str]) -> str:
-        """Each tick: note what is latched if that has changed. Says once why a change could not be written."""
+        """Note changed latches, each tick. Returns once why a change could not be written; else nothing."""
         if latched != self._last:
             self._last = dict(latched)
             self._aside.add({one.value: text for one, text in latched.items() if one is not Reason.GUARD})
         return "" if self._faults.empty() else self._faults.get()
 
     def close(self) -> None:
-        """Wait until all is written, or until the disk has had its time."""
+        """Wait until all is written, within the time limit."""
         self._aside.close()
 
     def _store(self, latched: dict[str, str]) -> None:
         if self._aside.waiting > 1:
-            return  # Stops under ever other names come faster than a disk writes: the last of them counts.
+            return  # Stops by changing names may outpace the disk: only the last one counts.
         try:
             self._write(latched)
         except OSError as error:
@@ -336,35 +336,35 @@ class LatchNote(Note):
 
 
 class RunNote(Note):
-    """A file that is there while the gateway runs, so that the next one knows how this one ended."""
+    """A file that exists while the gateway runs, so that the next start knows how this run ended."""
 
     ENDING = "running"
 
     def begin(self) -> bool:
-        """Write it. Return True if it is there already: the gateway before did not end in order."""
+        """Write the file. Returns True if it existed: the gateway before did not end in order."""
         if self.path is None:
             return False
         is_there = self.path.exists()
         try:
             write_whole(self.path, b"")
         except OSError as error:
-            log.warning("the next start will not know how this one ended: %s: %s", self.path, error.strerror)
+            log.warning("the next start will not know how this run ended: %s: %s", self.path, error.strerror)
         return is_there
 
     def end(self) -> None:
-        """Remove it: the gateway ends in order."""
+        """Remove the file: the gateway ends in order."""
         with suppress(OSError):
             self.remove()
 
 
 STEP_KM: Final = 0.1
-"""The note is written again after this way: a power cut leaves it no further off."""
+"""Distance after which the note is updated, and so the error that a power cut leaves."""
 
 MILEAGE_NOTE_MAX_BYTES: Final = 256
 
 
 class MileageNote(Note):
-    """The total mileage, read at the start, and written aside. A file that is missing or damaged says nothing."""
+    """The total mileage, read at the start and updated while driving. A damaged file counts as missing."""
 
     ENDING = "mileage.json"
 
@@ -375,7 +375,7 @@ class MileageNote(Note):
         self._aside: Aside[float] = Aside("mileage-note", self._write)
 
     def follow(self, mileage_km: float | None) -> str:
-        """Each tick: note the mileage if it changed enough. Asks once whether it is the same chassis."""
+        """Note the mileage, each tick. Returns once a question whether it is the same chassis; else nothing."""
         if self.path is None or mileage_km is None or self._aside.waiting:
             return ""
         noted_km, is_first, self._is_first = self._noted_km, self._is_first, False

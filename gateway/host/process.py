@@ -1,4 +1,4 @@
-"""The process on its computer: real-time scheduling, logging that never blocks, sd_notify(3)."""
+"""Real-time scheduling, logging that never blocks, and sd_notify(3)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ MCL_ONFAULT: Final = 4
 
 
 def request_realtime(priority: int) -> bool:
-    """Ask for SCHED_FIFO for the calling thread, and for locked memory; at priority 0 for nothing.
+    """Request SCHED_FIFO for the calling thread, and locked memory; nothing at priority 0.
 
-    Returns whether SCHED_FIFO was granted. A refusal of either is logged and changes nothing else.
+    Returns True if SCHED_FIFO was granted. A refusal of either is only logged.
     """
     if priority == 0:
         return False
@@ -41,16 +41,15 @@ def request_realtime(priority: int) -> bool:
 
 
 def has_realtime() -> bool:
-    """Look whether the calling thread has a real-time policy, whoever gave it."""
+    """Report whether the calling thread has a real-time policy, from any source."""
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in {os.SCHED_FIFO, os.SCHED_RR}
 
 
 LINES_WAITING: Final = 1000
-"""Beyond it lines are lost: a full pipe behind stderr must not hold the loop."""
-
+"""Queued log lines; further ones are dropped, so that a full stderr pipe never blocks the loop."""
 
 END_TIMEOUT_S: Final = 1.0
-"""A pipe that stays full does not keep the process from ending."""
+"""Longest wait at the end for a pipe that stays full."""
 
 
 class _Aside(QueueHandler):
@@ -63,7 +62,7 @@ class _Aside(QueueHandler):
 
 @contextmanager
 def logging_aside() -> Iterator[None]:
-    """Meanwhile what is logged goes through a queue to the handlers that there are."""
+    """Log through a queue to the present handlers, meanwhile."""
     root = logging.getLogger()
     handlers = root.handlers[:]
     waiting: Queue[logging.LogRecord | None] = Queue(LINES_WAITING)
@@ -90,10 +89,10 @@ _SOCKET: Final = "NOTIFY_SOCKET"
 
 
 class ServiceManager:
-    """Sends datagrams to the socket that systemd names. Nothing blocks."""
+    """Sends datagrams to systemd's notification socket. Nothing blocks."""
 
     def __init__(self, address: str) -> None:
-        """Send nothing yet to the address: a path, or an abstract name that begins with ``@``."""
+        """Open a socket; the address is a path, or an abstract name that begins with ``@``."""
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         self._socket.settimeout(0)
@@ -102,12 +101,12 @@ class ServiceManager:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Self | None:
-        """The one that started this process; None if none wants to be told."""
+        """Return the manager of this process; None if it asked for no notifications."""
         address = environment.get(_SOCKET, "")
         return cls(address) if address.startswith(("/", "@")) else None
 
     def alive(self, status: str) -> None:
-        """Feed the watchdog, and send the status if it has changed. The first time says that it is ready."""
+        """Feed the watchdog, and send a changed status. The first call also reports readiness."""
         words = ["WATCHDOG=1"]
         if not self._is_ready:
             words.append("READY=1")

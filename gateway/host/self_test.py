@@ -1,8 +1,8 @@
-"""The look of a gateway in signed mode at its own endpoints and Zenoh file, and the attempt to get past a router.
+"""Signed mode: check the gateway's own endpoints and Zenoh file, and try to get past a router.
 
-Zenoh's access control is silent where it is wrong: it lets everybody pass where a rule, a name or a switch is
-missing. What the robot's own file says is looked at in each start. What a router lets through is tried on request
-alone, by ``cruiser doctor --intrude``, for it puts messages on the robot's keys.
+Zenoh's access control fails silently: a missing rule, name or switch lets every client pass. The robot's own file
+is checked at each start. A router is tested on request only, by ``cruiser doctor --intrude``, because the test
+puts messages on the robot's keys.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from schemas.zenoh_session import (
 ACCESS: Final = "access_control"
 TLS: Final = "transport/link/tls"
 
-SETTLE_S: Final = 1.0  # the time in which a message that is not denied arrives, by way of a router
-WAITING: Final = 64  # samples of a subscription that may wait; one is enough
+SETTLE_S: Final = 1.0  # time for a message that is not denied to arrive through a router
+WAITING: Final = 64  # queued samples of a subscription; one is enough
 
 ANSWER_TIMEOUT_S: Final = 0.5
 
 
 class Attempt(msgspec.Struct, frozen=True):
-    """An attempt by somebody without any right, at one endpoint."""
+    """An attempt without any rights, at one endpoint."""
 
     is_connected: bool
     deeds: list[str] = []
 
 
 def access_of(settings: ZenohSettings) -> tuple[dict[str, Json], dict[str, Json]]:
-    """The access control and the TLS of a gateway's sessions, as Zenoh reads them."""
+    """Return access control and TLS of a gateway's sessions, as Zenoh reads them."""
     config = base_configuration(settings.config)
     access, tls = (msgspec.json.decode(config.get_json(path)) for path in (ACCESS, TLS))
     return access, tls
@@ -69,16 +69,13 @@ def intrude(
     session: zenoh.Session,
     pause: Callable[[float], object],
 ) -> Attempt:
-    """Try everything at an endpoint, with a certificate that has no right, and look for it at its other end.
+    """Try every kind of access at an endpoint with a certificate of the role ``nothing``.
 
-    Args:
-        certificate: of the role ``nothing``.
-        session: has the robot's certificate.
+    ``session`` has the robot's certificate, and shows what arrives.
     """
     root, robot = settings.robot.root, settings.robot.name
-    # Nobody else has this name.
     operator = f"nobody-{secrets.token_hex(4)}"
-    said, question = operator.encode(), f"{root}/{robot}/gateway/{operator}"
+    marker, question = operator.encode(), f"{root}/{robot}/gateway/{operator}"
     commanded, drive, acquire = (
         keys.command(root, robot, operator, verb) for verb in (keys.ALL, "drive", "acquire")
     )
@@ -104,17 +101,17 @@ def intrude(
             spies = [subscribed(stranger, one) for one in (state, f"{root}/**")]
             questions = answering(stranger, question)
             for one in (drive, state):
-                stranger.put(one, said)
+                stranger.put(one, marker)
             every = zenoh.QueryTarget.ALL
-            stranger.get(acquire, PendingQuery().handler, target=every, payload=said, timeout=SETTLE_S)
+            stranger.get(acquire, PendingQuery().handler, target=every, payload=marker, timeout=SETTLE_S)
             pause(SETTLE_S)
-            puts = {str(one.key_expr) for wire in wires for one in _come(wire) if one.payload.to_bytes() == said}
+            puts = {str(one.key_expr) for wire in wires for one in _come(wire) if one.payload.to_bytes() == marker}
             deeds = [f"a put on {one} arrives" for one in sorted(puts)]
             deeds += [f"a query on {one.key_expr} arrives" for one in _come(asked)][:1]
             deeds += [
                 f"a subscription to {spy.key_expr} receives"
                 for spy in spies
-                if any(one.payload.to_bytes() != said for one in _come(spy))
+                if any(one.payload.to_bytes() != marker for one in _come(spy))
             ]
             session.get(question, PendingQuery().handler, timeout=ANSWER_TIMEOUT_S)
             pause(ANSWER_TIMEOUT_S)
@@ -134,10 +131,9 @@ def _come(declared: Any) -> Iterator[Any]:  # noqa: ANN401 - a subscriber or que
 
 
 def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
-    """The endpoint at which somebody without a certificate gets a link to a listener; empty if nowhere.
+    """Return the endpoint of a listener that accepts a client without a certificate; empty if none does.
 
-    Args:
-        settings: the gateway's; of its file, the network's authority alone is used.
+    Of the gateway's settings only the network's authority is used.
     """
     own = own_endpoint(listener)
     plain = own.partition("/")[2].partition("#")[0]
@@ -155,32 +151,32 @@ def enters_without_certificate(settings: ZenohSettings, listener: str) -> str:
 
 
 def has_certificates(endpoint: str) -> bool:
-    """Return True if it is of a protocol by which both ends show a certificate."""
+    """Report whether the endpoint's protocol can have certificates at both ends."""
     return endpoint.partition("/")[0] in WITH_NAMES
 
 
 OPENING: Final = ("verify_name_on_connect=false", "enable_mtls=false")
-"""Options of an endpoint by which any machine of the network passes for the router, or gets in."""
+"""Endpoint options that let any machine of the network pose as the router, or connect."""
 
 INSTALL: Final = "'cruiser provision install --replace' writes it"
 
 
 class Reached(msgspec.Struct, frozen=True):
-    """Where a gateway is reached."""
+    """Endpoints of a gateway."""
 
     connect: list[str]
     listen: list[str]
 
     @property
     def is_secured(self) -> bool:
-        """Does anything but this machine's own plain connections reach it?"""
+        """Report whether more than plain connections of this computer reach it."""
         return any(has_certificates(one) or not is_loopback(one) for one in (*self.connect, *self.listen))
 
 
 def own_fault(settings: Settings, place: Reached) -> str:
-    """Return the first flaw of a gateway's own that lets in whom nobody named; empty if there is none.
+    """Return the first flaw in a gateway's configuration that lets unknown clients in; empty if there is none.
 
-    Where this machine alone reaches it, as in open mode, there is none: whoever commands it there signs.
+    A gateway that only this computer can reach has none: commands are signed there too.
     """
     return (_endpoint_fault(place) or _file_fault(settings)) if place.is_secured else ""
 
@@ -194,7 +190,7 @@ def _endpoint_fault(place: Reached) -> str:
             )
         for option in OPENING:
             if option in endpoint:
-                return f"{plain(endpoint)} lets anybody pass: leave out {option}"
+                return f"{plain(endpoint)} accepts any client: leave out {option}"
     return ""
 
 
@@ -210,7 +206,7 @@ def _file_fault(settings: Settings) -> str:
 
 
 def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
-    """Return the first flaw by which anybody passes access control or TLS, as Zenoh reads them; empty if none."""
+    """Return the first flaw in access control or TLS that lets any client in; empty if there is none."""
     for where, section, name, wanted in (
         ("transport.link.tls", tls, "enable_mtls", True),
         ("transport.link.tls", tls, "verify_name_on_connect", True),
@@ -221,19 +217,19 @@ def access_fault(access: dict[str, Json], tls: dict[str, Json]) -> str:
             return f"{where}.{name} is not {str(wanted).lower()}"
     subjects = access.get("subjects")
     if not isinstance(subjects, list) or not subjects:
-        return "access_control.subjects names nobody"
+        return "access_control.subjects is empty"
     for subject in subjects:
         if not isinstance(subject, dict) or not subject.get("cert_common_names"):
-            said = subject.get("id") if isinstance(subject, dict) else subject
-            return f"the subject {said!a} of access_control has no cert_common_names, and so is everybody"
+            shown = subject.get("id") if isinstance(subject, dict) else subject
+            return f"the subject {shown!a} of access_control has no cert_common_names: it matches every client"
     return ""
 
 
 def find_hole(settings: Settings, pause: Callable[[float], object] = time.sleep) -> str:
-    """Try what must be denied, at each router of a robot's Zenoh file and at each endpoint that it listens on.
+    """Test each router of a robot's Zenoh file, and each endpoint that it listens on.
 
     Returns:
-        What was not denied, with the cure; empty if all was.
+        The first access that was not denied, with the cure; empty if all was denied.
     """
     directory, zenoh = directory_of(settings.authority), settings.zenoh
     check_shut_out(directory, time.time())
@@ -244,8 +240,8 @@ def find_hole(settings: Settings, pause: Callable[[float], object] = time.sleep)
     for listener in filter(has_certificates, said_of(zenoh).listen):
         if entrance := enters_without_certificate(zenoh, listener):
             return (
-                f"{plain(entrance)} lets in who shows no certificate: leave out what the endpoint "
-                f"{plain(listener)} says against {plain(zenoh.config)}"
+                f"{plain(entrance)} accepts clients without a certificate: leave out what the endpoint "
+                f"{plain(listener)} changes of {plain(zenoh.config)}"
             )
     return ""
 
@@ -259,12 +255,10 @@ def _past_router(
     finally:
         close_session(own)
     if not attempt.is_connected:
-        raise CommandError(
-            f"{plain(endpoint)}: a certificate without any right gets no link", ExitCode.UNREACHABLE
-        )
+        raise CommandError(f"{plain(endpoint)}: a certificate without rights gets no link", ExitCode.UNREACHABLE)
     if not attempt.deeds:
         return ""
     return (
-        f"a certificate without any right is not shut out: {attempt.deeds[0]}; the router at {plain(endpoint)} "
-        "has to run from the router.json5 that 'cruiser provision install' writes there"
+        f"a certificate without rights gets past the router: {attempt.deeds[0]}; the router at {plain(endpoint)} "
+        "must use the router.json5 that 'cruiser provision install' writes there"
     )

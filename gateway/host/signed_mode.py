@@ -1,8 +1,7 @@
-"""Signed mode on this computer: keys, the note of statements that outlive a restart, and renewed files.
+"""Signed mode on this computer: keys, statements that outlive a restart, and renewed files.
 
-Keys, grants and certificates are read once, at the start. Where they were installed anew, the gateway ends once
-the robot stands and nobody needs it, and its service manager starts it again. Where none would, it stays, and says
-so.
+Keys, grants and certificates are read once, at the start. After a new installation the gateway exits as soon as
+the robot stands unused, and its service manager starts it again. Without a service manager it stays and says so.
 """
 
 from __future__ import annotations
@@ -51,9 +50,9 @@ class AuthorityNote(Note):
         self._aside = Aside("authority-note", self._store)
 
     def read(self) -> Kept | str:
-        """Return the statements as saved last, none if there is no file; or why it cannot be read, in words."""
+        """Return the statements saved last, none if there is no file; or why it cannot be read, as text."""
         if self.path is None:
-            return "nothing can be kept: gateway.state_dir is empty, and what is revoked must outlive a restart"
+            return "gateway.state_dir is empty, but revocations must outlive a restart"
         try:
             check_regular(self.path, self.path.stat().st_mode)
             return msgspec.json.decode(self.path.read_bytes(), type=Kept)
@@ -62,7 +61,7 @@ class AuthorityNote(Note):
         except CommandError as error:
             return str(error)
         except (OSError, msgspec.MsgspecError, UnicodeDecodeError) as error:
-            return f"{self.path} is damaged, and so is what was revoked: {error}; {CURE}"
+            return f"{self.path}, which holds revocations, is damaged: {error}; {CURE}"
 
     def save(self, kept: Kept) -> None:
         self._aside.add(kept)
@@ -83,13 +82,13 @@ class AuthorityNote(Note):
 
 BOOT_BYTES: Final = 8
 
-AHEAD_S: Final = 3600  # a note of a later time than this after the clock's is said
+AHEAD_S: Final = 3600  # a note whose time is further ahead of the clock is reported
 
 _DAY_S: Final = 86_400
 
 
 class SignedMode:
-    """The authority of a robot, and where it keeps what it learns."""
+    """The authority of a robot, and its note."""
 
     def __init__(self, settings: Settings, core: Core) -> None:
         directory = directory_of(settings.authority)
@@ -122,7 +121,7 @@ class SignedMode:
             _own(identity.chain, kept, trust, settings),
             kept,
         )
-        # Before the first tick a statement may wait that somebody has shown.
+        # A statement may arrive before the first tick.
         self.authority.know_time(boot_ns, time.time_ns())
         self._note.report = self._report_unsaved
 
@@ -133,7 +132,7 @@ class SignedMode:
         return StatementSieve(self.authority.admission)
 
     def note(self, now_s: float) -> str:
-        """Return a line for people if the certificate ends soon; else nothing."""
+        """Return a line if the certificate expires soon; else nothing."""
         left_s = RENEW_S if self.certificate_ends_s is None else self.certificate_ends_s - now_s
         ends = f"the robot's certificate ends in {left_s / _DAY_S:.1f} days; {renewed('robot')}"
         return ends if left_s < RENEW_S else ""
@@ -146,15 +145,15 @@ class SignedMode:
 
 
 def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings) -> list[Signed]:
-    """The chain of the robot's own grant: of what it was shown and what was installed, what holds, and longer."""
-    renewed = read_chain(kept.own.encode()) if kept.own else provisioned
+    """Return the chain of the robot's own grant: the shown or the installed one, whichever is valid longer."""
+    shown = read_chain(kept.own.encode()) if kept.own else provisioned
     now_s = int(time.time())
 
     def worth(chain: list[Signed]) -> tuple[bool, int]:
         held = trust.judge(chain, now_s)
         return (False, 0) if isinstance(held, Objection) else (True, held.grant.not_after)
 
-    chain = max(renewed, provisioned, key=worth) if isinstance(renewed, list) else provisioned
+    chain = max(shown, provisioned, key=worth) if isinstance(shown, list) else provisioned
     grant = chain[0].statement
     if getattr(grant, "role", None) is not GrantRole.ROBOT or getattr(grant, "name", "") != settings.robot.name:
         raise CommandError(
@@ -166,28 +165,24 @@ def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings
 
 
 LOOK_NS: Final = 1_000_000_000
-"""Period at which the files are looked at, while the robot can do without its gateway."""
+"""Period at which the files are checked while the gateway is not needed."""
 
-ENDS: Final = "keys or certificates were installed anew: the gateway ends, and is started again with them"
-WAITS: Final = "keys or certificates were installed anew: start the gateway again, nobody else does"
+ENDS: Final = "new keys or certificates were installed: the gateway restarts to load them"
+WAITS: Final = "new keys or certificates were installed: restart the gateway to load them"
 
 FileStamp = tuple[int, int]
 
 
 class Renewal:
-    """Looks at the files that every installation writes.
+    """Watches the files that every installation writes.
 
     Attributes:
-        is_taken: they were replaced, and the gateway is to end.
-        note: what somebody has to see to, in one line; empty if there is nothing.
+        is_taken: they were replaced, and the gateway must exit.
+        note: a restart is needed, in one line; else empty.
     """
 
     def __init__(self, settings: Settings, *, is_managed: bool) -> None:
-        """Take the present files as those in use.
-
-        Args:
-            is_managed: a service manager starts the gateway again when it ends.
-        """
+        """Take the present files as those in use; ``is_managed``: a service manager restarts the gateway."""
         self.is_taken = False
         self.note = ""
         directory = directory_of(settings.authority)
@@ -196,7 +191,7 @@ class Renewal:
         self._in_use = self._before = self._stamps()
 
     def look(self) -> bool:
-        """Return True if the gateway is to end. Two looks have to find the same: an installation writes many."""
+        """Return True if the gateway must exit: two looks agree, because an installation writes several files."""
         stamps = self._stamps()
         is_new = stamps == self._before != self._in_use and None not in stamps
         self._before = stamps
@@ -205,7 +200,7 @@ class Renewal:
         return self.is_taken
 
     def ending(self, ends: Callable[[], bool], core: Core) -> Callable[[], bool]:
-        """Return the end of the loop: it is stopped, or may be started again and has a reason to be."""
+        """Return the loop's end condition: ``ends``, or new files while the gateway may restart."""
         due_ns = 0
 
         def is_over() -> bool:
@@ -224,7 +219,7 @@ class Renewal:
 
 
 def _stamp(file: Path) -> FileStamp | None:
-    """Return numbers that change when a file is replaced; None if it is missing."""
+    """Return values that change when a file is replaced; None if it is missing."""
     try:
         found = file.stat()
     except OSError:

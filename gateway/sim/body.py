@@ -1,8 +1,8 @@
-"""The virtual chassis in motion: its figures, each with its unit, and how it moves. Pure.
+"""Physics of the virtual chassis: constants with units, and motion. Pure.
 
-What the manual states is cited. What it leaves open is marked *chosen*: plausible for 116 kg on four wheels, and
-nothing outside the simulation may rest on it. The model is a bicycle on a slope, with a lagging drive, brakes and
-a steering motor; axes are those of ISO 8855, and the pose is that of the middle of the rear axle.
+Values from the manual cite it. Values marked *chosen* are plausible for 116 kg on four wheels, and nothing outside
+the simulation may rely on them. The model is a bicycle on a slope, with a lagging drive, brakes and a steering
+motor; axes follow ISO 8855, and the pose is that of the middle of the rear axle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ EMPTY_MASS_KG: Final = 116.0
 """Manual V2.0, 2.2."""
 
 TOP_SPEED_MPS: Final = 8 / 3.6
-"""8 km/h (manual V2.0, 2.2). It drives no faster, whatever the frame asks for; downhill it may roll faster."""
+"""8 km/h (manual V2.0, 2.2): the fastest drive speed; downhill it may roll faster."""
 
 STEERING_LIMIT_DEG: Final = 24.0
 """The soft limit inside the chassis (manual V2.0, 5 (2))."""
@@ -39,13 +39,13 @@ SPEED_LAG_S: Final = 0.15
 """Time constant of the drive's first-order lag. Chosen."""
 
 ACCELERATION_MPS2: Final = 1.5
-"""Most the drive can speed up. Chosen, above what the gateway will ever ask for."""
+"""The drive's greatest acceleration. Chosen, above any command of the gateway."""
 
 DECELERATION_MPS2: Final = 2.0
-"""Most the drive alone can slow down. Chosen."""
+"""The drive's greatest deceleration without brakes. Chosen."""
 
 MAX_DRIVE_FORCE_N: Final = 630.0
-"""Most the motor can push or hold back. Chosen from what the chassis climbs (manual V2.0, 2.2).
+"""The motor's greatest force, either way. Chosen by the slopes that the chassis climbs (manual V2.0, 2.2).
 
 20 deg empty take 424 N, 15 deg with full payload 613 N, each with rolling resistance. Holding 20 deg with full
 payload would take 660 N.
@@ -61,7 +61,7 @@ PARKING_DECELERATION_MPS2: Final = 7.0
 """The grip of the applied electromagnetic parking brake, standing or moving. Chosen; 20 deg need 3.4."""
 
 FULL_PEDAL_PERCENT: Final = 99.0
-"""From here on the brake reads fully braked; eight bits of 0.390625 % end at 99.6 %."""
+"""The brake reads fully braked from here on; eight bits of 0.390625 % end at 99.6 %."""
 
 STEERING_RATE_DEGPS: Final = 60.0
 """Chosen."""
@@ -70,28 +70,28 @@ SHIFT_SPEED_MPS: Final = 0.01
 """The gear of the other direction engages only below this speed. Chosen; the manual asks for zero."""
 
 SPEED_RESOLUTION_MPS: Final = 0.0005
-"""Nearer than this to its target, the lagging speed is at it: half of the finest bit on the wire."""
+"""The lagging speed snaps to its target within this: half of the finest bit on the wire."""
 
 REBOOT_NS: Final = 2_000_000_000
 """The default time that the chassis's control unit takes to reboot. Chosen."""
 
 BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 40))
-"""The times for which a bouncing contact is closed, open, closed and so on, before it rests. Chosen."""
+"""Times for which a bouncing contact is closed, open and so on, before it settles. Chosen."""
 
 START_MILEAGE_M: Final = 12_345.0
-"""Mileage at power-up: not zero, so that clearing it shows. Chosen."""
+"""Mileage at power-up, not zero, so that clearing it is visible. Chosen."""
 
 FOREIGN_PERIOD_NS: Final = 100_000_000
 """The default period of a foreign frame."""
 
 MAX_RATE_MULTIPLIER: Final = 100.0
-"""The feedback's rate may be raised to this multiple; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""
+"""Greatest multiple of the feedback rate; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""
 
 MIN_RATE_MULTIPLIER: Final = 0.1
 
 
 class StopMode(Enum):
-    """The chassis's behaviour in mode stop. The manual does not define it."""
+    """Behaviour in mode stop, which the manual does not define."""
 
     BRAKES = "brakes"
     COASTS = "coasts"
@@ -99,15 +99,14 @@ class StopMode(Enum):
 
 
 class Conditions(msgspec.Struct, frozen=True):
-    """Conditions that the manual leaves open, or that differ from place to place.
+    """Conditions that the manual leaves open, or that depend on the place.
 
     Attributes:
-        slope_deg: positive with the nose up, whichever way the robot turns.
+        slope_deg: positive with the nose up, in every heading.
         pedal_gain: share of the service brake that the brake pedal applies. The manual calls the pedal reserved.
-        motor_strength: share of its greatest force that the motor has.
-        parking_grip: share of its grip that the parking brake has; it reads applied all the same.
-        parking_delay_s: time that the parking brake takes to apply, and to release. Chosen.
-        stop_mode: the chassis's behaviour in mode stop.
+        motor_strength: share of the motor's greatest force.
+        parking_grip: share of the parking brake's grip; its feedback reads applied all the same.
+        parking_delay_s: time to apply or release the parking brake. Chosen.
     """
 
     slope_deg: float = 0.0
@@ -130,7 +129,7 @@ class Conditions(msgspec.Struct, frozen=True):
 
 
 NOMINAL: Final = Conditions()
-"""On the flat, empty."""
+"""Level ground, no payload."""
 
 CONDITION_BOUNDS: Final = {
     "slope_deg": (-30.0, 30.0),
@@ -139,7 +138,7 @@ CONDITION_BOUNDS: Final = {
     "motor_strength": (0.0, 1.0),
     "parking_grip": (0.0, 1.0),
 }
-"""Each condition with a number: from, to. The payload's is the manual's (V2.0, 2.2)."""
+"""Bounds of the numeric conditions. The payload's is the manual's (V2.0, 2.2)."""
 
 
 _PULSES_PER_M = PULSES_PER_TURN / (math.pi * TYRE_DIAMETER_M)
@@ -148,12 +147,12 @@ _DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
 class Demand(msgspec.Struct, frozen=True):
-    """The demand on the chassis by its present commander.
+    """A command to the chassis, from CAN or from the remote control.
 
     Attributes:
-        speed_mps: a magnitude; the gear gives the direction.
+        speed_mps: magnitude; the gear gives the direction.
         angle_deg: left positive; None holds the angle.
-        pedal_percent: brake pedal; where it has a gain, pressing it cuts the drive.
+        pedal_percent: brake pedal; with a pedal gain, it cuts the drive.
     """
 
     gear: GearPosition
@@ -167,8 +166,8 @@ class Motion:
     """The moving chassis.
 
     Attributes:
-        parked: the parking brake is applied, and the drive is cut. It follows the demand with a delay.
-        gear: the gear in force: that of the other direction engages only at standstill.
+        parked: the parking brake is applied and the drive is cut; follows the demand with a delay.
+        gear: the engaged gear; the other direction engages only at standstill.
         speed_mps: signed, forward positive.
         angle_deg: steering angle, left positive.
         x_m: position; with ``y_m`` and ``yaw_rad`` (-pi to pi, left positive) the pose since the start.
@@ -191,12 +190,12 @@ class Motion:
 
     @property
     def yaw_rate_radps(self) -> float:
-        """Turn rate by the bicycle model: left is positive, going forward."""
+        """Yaw rate by the bicycle model; left positive."""
         return self.speed_mps * math.tan(math.radians(self.angle_deg)) / self._wheelbase_m
 
     @property
     def wheel_speeds_mps(self) -> tuple[float, float]:
-        """Rear left and rear right, negative in reverse; the outer wheel of a bend is the faster one."""
+        """Rear left and rear right, negative in reverse."""
         difference = self.yaw_rate_radps * TRACK_M / 2
         return self.speed_mps - difference, self.speed_mps + difference
 
@@ -206,7 +205,7 @@ class Motion:
         return _wrap16(self._left_m), _wrap16(self._right_m)
 
     def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
-        """From now on it moves so, as far as it can."""
+        """Take over this motion, within the steering limit."""
         self.speed_mps = speed_mps
         self.angle_deg = _clamp(angle_deg, STEERING_LIMIT_DEG)
         self.gear = gear
@@ -214,7 +213,7 @@ class Motion:
         self._parking_s = 0.0
 
     def step(self, demand: Demand, dt_s: float) -> None:
-        """Moves on by a short time."""
+        """Advance by a short time."""
         self._park(demand, dt_s)
         self._shift(demand.gear)
         self.speed_mps = self._next_speed_mps(demand, dt_s)
@@ -232,7 +231,7 @@ class Motion:
 
     def _shift(self, wanted: GearPosition) -> None:
         direction = _DIRECTION.get(wanted, 0.0)
-        # Rolling the other way, the chassis keeps its gear and slows down first.
+        # While it rolls the other way, the chassis keeps its gear.
         if self.speed_mps * direction > -SHIFT_SPEED_MPS:
             self.gear = wanted
 
@@ -243,14 +242,14 @@ class Motion:
         pedal_mps2 = BRAKING_DECELERATION_MPS2 * self.conditions.pedal_gain * demand.pedal_percent / 100
         if pedal_mps2 or demand.gear is GearPosition.NEUTRAL:
             return self._pushed(0.0, ROLLING_DECELERATION_MPS2 + pedal_mps2, dt_s)
-        # The motor follows its target, whatever the slope, as far as its force goes.
+        # The motor follows its target on any slope, within its force.
         most_mps2 = self.conditions.drive_mps2
         lowest_mps = self._pushed(-most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
         highest_mps = self._pushed(most_mps2, ROLLING_DECELERATION_MPS2, dt_s)
         return max(lowest_mps, min(highest_mps, self._lagging_mps(demand, dt_s)))
 
     def _pushed(self, drive_mps2: float, resistance_mps2: float, dt_s: float) -> float:
-        """The speed after a time of drive and gravity, and of a resistance that stops but never sets in motion."""
+        """Return the speed after drive, gravity, and a resistance that stops but never sets in motion."""
         free_mps = self.speed_mps + (drive_mps2 + self.conditions.downhill_mps2) * dt_s
         return free_mps - _clamp(free_mps, resistance_mps2 * dt_s)
 

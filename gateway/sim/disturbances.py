@@ -1,7 +1,6 @@
-"""Faults on demand: their words, one fault a line, and those in force. Pure; time is an argument.
+"""Faults on demand: their grammar, one fault a line, and those in force. Pure; time is an argument.
 
-``parse`` turns a line into a typed value, or into the reason why it is none. ``GRAMMAR`` is the list of lines that
-people see in the help.
+``parse`` turns a line into a typed value or an error. ``GRAMMAR`` is the list of faults in the help.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%]+\]|[^\s:\[\]]+):(?P<port>[0-9]{1,
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port; an IPv6 address stands in brackets, which are taken off."""
+    """Return host and port, an IPv6 host without its brackets."""
     match = _FORM.fullmatch(text)
     if match is None or int(match["port"]) > 0xFFFF:
         raise CommandError(f"{text!r} is no HOST:PORT such as 127.0.0.1:29536", ExitCode.USAGE)
@@ -34,7 +33,6 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def show_address(host: str, port: int) -> str:
-    """The text of an address."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
@@ -42,7 +40,7 @@ GRAMMAR: Final = """\
   silence MESSAGE              it is not sent; its counter stands still
   checksum MESSAGE             its checksum is wrong
   stuck MESSAGE                its alive counter stands still
-  skip MESSAGE [by N]          its alive counter rises by N, 2 unless told
+  skip MESSAGE [by N]          its alive counter rises by N, 2 by default
   drop MESSAGE every N         each N-th is lost on the way: the counter goes on
   drop MESSAGE next N          the next N are lost on the way
   freeze MESSAGE               its values stay as they are; its counter goes on and its checksum is right
@@ -51,20 +49,20 @@ GRAMMAR: Final = """\
   bumper front|rear|both on|off [bounce]
                                hit, or free again; with 'bounce' the contact chatters first
   transmitter remote|command   the remote control takes over, or gives back
-  sticks SPEED_MPS ANGLE_DEG   what the remote control asks for in remote mode
+  sticks SPEED_MPS ANGLE_DEG   the remote control's demand in remote mode
   scale wrong|right            drive command and feedback in the other variant's scale, wheel speeds not
   variant coarse|fine          another firmware
-  slope DEG                    -30 to 30, nose up positive, whichever way the robot turns
+  slope DEG                    -30 to 30, nose up positive, in every heading
   payload KG                   0 to 100
   pedal GAIN                   0 to 1: how much of the brake the brake pedal applies
   motor STRENGTH               0 to 1: how much of its force the motor has; 1 is whole
   brake GRIP                   0 to 1: how much of its grip the parking brake has; it reads applied all the same
-  reboot                       the control unit reboots, 2 s unless told otherwise: no feedback, no drive, all
+  reboot                       the control unit reboots, 2 s by default: no feedback, no drive, all
                                commands forgotten, counters from 0
   clear                        everything as it was at the start
 
-MESSAGE is a feedback frame's name in the DBC, or 'all'. A MESSAGE fault ends with 'MESSAGE off', 'clear', or by
-itself with 'for 3 frames'; every fault but 'clear' with 'for 2s'. Durations: 500ms, 2s, 1min."""
+MESSAGE is a feedback frame's name in the DBC, or 'all'. A MESSAGE fault ends with 'MESSAGE off' or 'clear', or
+after 'for 3 frames'; every fault but 'clear' can end after 'for 2s'. Durations: 500ms, 2s, 1min."""
 
 ALL_MESSAGES: Final = "all"
 
@@ -73,7 +71,7 @@ _WORD_MAX: Final = 40
 
 
 class Disturbance(Enum):
-    """The kind of damage to a feedback frame."""
+    """Kinds of damage to a feedback frame."""
 
     SILENCE = "silence"
     CHECKSUM = "checksum"
@@ -91,14 +89,14 @@ class Sticks(msgspec.Struct, frozen=True):
 
 
 class Contact(NamedTuple):
-    """A bumper's contact, which may bounce before it rests."""
+    """A bumper's contact, which may bounce before it settles."""
 
     hit: bool
     bounces: bool = False
 
 
 class Foreign(msgspec.Struct, frozen=True):
-    """Frames that are not of this chassis, or not sent by it."""
+    """Frames of another device."""
 
     can_id: int
     data: bytes = bytes(8)
@@ -109,9 +107,9 @@ class ChassisFault(msgspec.Struct, frozen=True):
     """A fault, or the end of one.
 
     Attributes:
-        kind: its word; of one kind and target a later fault replaces the earlier.
+        kind: first word of its line; a later fault of the same kind and target replaces the earlier.
         targets: messages of the DBC or ALL_MESSAGES, sides, identifiers, or fields of ``Conditions``.
-        value: for SKIP the step of the counter, for DROP every how manieth frame is lost.
+        value: for SKIP the step of the counter; for DROP n, if every nth frame is lost.
     """
 
     kind: str
@@ -125,8 +123,8 @@ class FaultLine(msgspec.Struct, frozen=True):
 
     Attributes:
         duration_ns: 0 if it has no end.
-        frames: it ends after this many frames of its message; 0 if they do not count.
-        after_ns: it begins so long after the start.
+        frames: it ends after this many frames of its message; 0 for no limit.
+        after_ns: delay after the start.
     """
 
     fault: ChassisFault
@@ -136,7 +134,7 @@ class FaultLine(msgspec.Struct, frozen=True):
 
 
 class FaultTextError(msgspec.Struct, frozen=True):
-    """The reason why a text is no fault. A value: the text may come from the network."""
+    """The reason why a text is not a fault: a value, because the text may come from the network."""
 
     reason: str
 
@@ -173,7 +171,7 @@ _FORMS: Final[Mapping[str, str]] = {
     "reboot": "",
     CLEAR: "",
 }
-"""The form of each fault, behind its word."""
+"""Pattern of each fault, after its first word."""
 
 _FOR: Final = f"(?: for (?:(?P<for_frames>{_WHOLE}) frames|(?P<duration>{_TIME})))?"
 _USAGES: Final = {
@@ -182,7 +180,7 @@ _USAGES: Final = {
 
 
 def parse(text: str) -> FaultLine | FaultTextError:
-    """The fault that a line asks for, or why it is none. Never raises."""
+    """Parse a line into a fault, or the reason why it is not one. Never raises."""
     words = text.split()
     kind = words[0].lower() if words else ""
     if kind not in _FORMS:
@@ -190,12 +188,12 @@ def parse(text: str) -> FaultLine | FaultTextError:
     match = re.fullmatch(f"{_FORMS[kind]}{_FOR}", "".join(f" {word}" for word in words[1:]), re.IGNORECASE)
     if match is not None and (name := match.groupdict().get("message")) and name.lower() not in _MESSAGES:
         return FaultTextError(f"there is no message {_shown(name)}; {_hint(name, list(_MESSAGES.values()))}")
-    line = None if match is None else _line(kind, {name: said for name, said in match.groupdict().items() if said})
+    line = None if match is None else _line(kind, {name: part for name, part in match.groupdict().items() if part})
     return line or FaultTextError(f"{_shown(text.strip())} is not of the form '{_USAGES[kind]}'{_bounds(kind)}")
 
 
 def parse_scheduled(text: str) -> FaultLine | FaultTextError:
-    """A fault after a duration, as in ``3s bumper front on``; without one it is meant at once."""
+    """Parse a fault with an optional delay, as in ``3s bumper front on``."""
     first, _, rest = text.strip().partition(" ")
     if re.fullmatch(_TIME, first) is None:
         return parse(text)
@@ -223,50 +221,50 @@ def _duration_ns(word: str) -> int:
     return round(float(number) * _UNITS_NS[unit])
 
 
-def _line(kind: str, said: Mapping[str, str]) -> FaultLine | None:
-    """The fault of a line's parts; None if they do not go together."""
-    fault, duration_ns = _fault(kind, said), _duration_ns(said.get("duration", "0s"))
-    frames = int(said.get("frames") or said.get("for_frames") or 0)
+def _line(kind: str, parts: Mapping[str, str]) -> FaultLine | None:
+    """Build the fault of a line's parts; None if they do not fit together."""
+    fault, duration_ns = _fault(kind, parts), _duration_ns(parts.get("duration", "0s"))
+    frames = int(parts.get("frames") or parts.get("for_frames") or 0)
     is_over = fault is not None and (fault.ended or kind == CLEAR)
     if (
         fault is None
-        or ("duration" in said and not duration_ns)
-        or ("for_frames" in said and ("message" not in said or "frames" in said))
+        or ("duration" in parts and not duration_ns)
+        or ("for_frames" in parts and ("message" not in parts or "frames" in parts))
         or (is_over and (duration_ns or frames))
     ):
         return None
     return FaultLine(fault, duration_ns, frames)
 
 
-def _fault(kind: str, said: Mapping[str, str]) -> ChassisFault | None:
-    ended = "off" in said
-    if "message" in said:
-        number = int(said.get("number", 2 if kind == "skip" and not ended else 1))
-        return ChassisFault(kind, (_MESSAGES[said["message"].lower()],), number, ended=ended)
+def _fault(kind: str, parts: Mapping[str, str]) -> ChassisFault | None:
+    ended = "off" in parts
+    if "message" in parts:
+        number = int(parts.get("number", 2 if kind == "skip" and not ended else 1))
+        return ChassisFault(kind, (_MESSAGES[parts["message"].lower()],), number, ended=ended)
     if kind in _CONDITIONS:
-        field, value = _CONDITIONS[kind], float(said["number"])
+        field, value = _CONDITIONS[kind], float(parts["number"])
         low, high = CONDITION_BOUNDS[field]
         return ChassisFault(_CONDITION, (field,), value) if low <= value <= high else None
     match kind:
         case "foreign":
-            return _foreign(said, ended=ended)
+            return _foreign(parts, ended=ended)
         case "bumper":
-            sides = ("front", "rear") if said["side"].lower() == "both" else (said["side"].lower(),)
-            contact = Contact(said["state"].lower() == "on", "bounce" in said)
+            sides = ("front", "rear") if parts["side"].lower() == "both" else (parts["side"].lower(),)
+            contact = Contact(parts["state"].lower() == "on", "bounce" in parts)
             return ChassisFault(kind, sides, contact, ended=not any(contact))
         case "sticks":
-            return ChassisFault(kind, value=Sticks(float(said["speed"]), float(said["angle"])))
+            return ChassisFault(kind, value=Sticks(float(parts["speed"]), float(parts["angle"])))
         case "variant":
-            return ChassisFault(kind, value=Variant(said["variant"].lower()))
+            return ChassisFault(kind, value=Variant(parts["variant"].lower()))
     return ChassisFault(kind, ended=ended)
 
 
-def _foreign(said: Mapping[str, str], *, ended: bool) -> ChassisFault:
-    target = int(said["id"], 16) | (EXTENDED if len(said["id"]) > 3 else 0)
+def _foreign(parts: Mapping[str, str], *, ended: bool) -> ChassisFault:
+    target = int(parts["id"], 16) | (EXTENDED if len(parts["id"]) > 3 else 0)
     if ended:
         return ChassisFault("foreign", (target,), ended=True)
-    data, is_error = said.get("data", bytes(8).hex()), said.get("data", "").lower() == "error"
-    period_ns = max(_duration_ns(said["every"]), _UNITS_NS["ms"]) if "every" in said else FOREIGN_PERIOD_NS
+    data, is_error = parts.get("data", bytes(8).hex()), parts.get("data", "").lower() == "error"
+    period_ns = max(_duration_ns(parts["every"]), _UNITS_NS["ms"]) if "every" in parts else FOREIGN_PERIOD_NS
     frames = Foreign(target | (ERROR if is_error else 0), bytes(8) if is_error else bytes.fromhex(data), period_ns)
     return ChassisFault("foreign", (target,), frames)
 
@@ -280,9 +278,9 @@ class _Active(msgspec.Struct):
     """A fault in force.
 
     Attributes:
-        frames_left: None if its frames do not count.
-        passed: frames of its message so far, for a fault of every n-th.
-        next_ns: for foreign frames, when the next is due.
+        frames_left: None without a limit.
+        passed: frames of its message so far, for a fault of every nth.
+        next_ns: due time of the next foreign frame.
     """
 
     fault: ChassisFault
@@ -294,11 +292,11 @@ class _Active(msgspec.Struct):
 
 
 _Slot = tuple[str, str | int]
-"""The target of a fault; a later fault of the same slot replaces the earlier."""
+"""Kind and target of a fault; a later fault in the same slot replaces the earlier."""
 
 
 class Disturbances:
-    """The faults in force, and those that wait for their time."""
+    """The faults in force, and the scheduled ones."""
 
     def __init__(self, messages: tuple[str, ...]) -> None:
         self._messages = messages
@@ -308,12 +306,12 @@ class Disturbances:
         self._now_ns = 0
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
-        """Begins a fault, once ``advance`` reaches its time."""
+        """Schedule a fault for ``advance``."""
         heapq.heappush(self._waiting, (at_ns, self._injected, line))
         self._injected += 1
 
     def advance(self, now_ns: int) -> None:
-        """Begins and ends what is due."""
+        """Begin and end the faults that are due."""
         self._now_ns = now_ns
         while self._waiting and self._waiting[0][0] <= now_ns:
             at_ns, _, line = heapq.heappop(self._waiting)
@@ -323,11 +321,11 @@ class Disturbances:
 
     @property
     def next_foreign_ns(self) -> int:
-        """The due time of the next foreign frame; far away if there is none."""
+        """Due time of the next foreign frame; far in the future if there is none."""
         return min((active.next_ns for active in self._active.values()), default=_NEVER_NS)
 
     def foreign_frames(self, now_ns: int, wall_ns: int) -> list[Frame]:
-        """The foreign frames that are due, and the next ones planned."""
+        """Return the foreign frames due now, and schedule the next ones."""
         frames = []
         for active in self._active.values():
             foreign = active.fault.value
@@ -337,7 +335,7 @@ class Disturbances:
         return frames
 
     def strike(self, disturbance: Disturbance, message: str) -> int:
-        """Count a frame of the message, and return the number of the fault that disturbs it; 0 if none does."""
+        """Count a frame of the message, and return the value of the fault that disturbs it; 0 if none does."""
         slot = (disturbance.value, message)
         number, active = self._value(int, disturbance.value, message), self._active.get(slot)
         if active is None or number is None:
@@ -353,7 +351,7 @@ class Disturbances:
 
     @property
     def quiet(self) -> bool:
-        """Nothing is disturbed."""
+        """No fault is in force."""
         return not self._active
 
     @property
@@ -363,7 +361,6 @@ class Disturbances:
 
     @property
     def sticks(self) -> Sticks:
-        """The demand of the remote control (RC)."""
         return self._value(Sticks, "sticks") or Sticks(0.0, 0.0)
 
     @property
@@ -373,7 +370,7 @@ class Disturbances:
 
     @property
     def firmware(self) -> Variant | None:
-        """The variant that took the place of the first one."""
+        """The variant that replaces the first one."""
         return self._value(Variant, "variant")
 
     @property
@@ -382,14 +379,14 @@ class Disturbances:
         return ("reboot", "") in self._active
 
     def conditions(self, start: Conditions) -> Conditions:
-        """The conditions in force, given those of the start."""
+        """Return the conditions in force, given those at the start."""
         changed = {
             str(field): one.fault.value for (kind, field), one in self._active.items() if kind == _CONDITION
         }
         return msgspec.structs.replace(start, **changed) if changed else start
 
     def _value(self, kind: type[_T], word: str, target: str = "") -> _T | None:
-        """The value of a fault in force."""
+        """Return the value of a fault in force."""
         active = self._active.get((word, target))
         return active.fault.value if active is not None and isinstance(active.fault.value, kind) else None
 
@@ -409,11 +406,11 @@ class Disturbances:
             self._active[fault.kind, target] = active
 
     def is_hit(self, side: str) -> bool:
-        """The bumper of this side is hit now."""
+        """Report whether the bumper of this side is hit."""
         contact = self._value(Contact, "bumper", side)
         if contact is None:
             return False
         since_ns = self._now_ns - self._active["bumper", side].since_ns
         changes = [end_ns for end_ns in accumulate(BOUNCE_NS) if end_ns > since_ns] if contact.bounces else []
-        # After an even number of changes it rests, so one that is still to come out even is in the new state.
+        # The last change leads to the new state, so an even number of remaining changes means the new state.
         return contact.hit is (len(changes) % 2 == 0)

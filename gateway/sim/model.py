@@ -1,11 +1,11 @@
-"""The virtual chassis: commands in, feedback out; and itself in place of a recorded one. No I/O, no clock.
+"""The virtual chassis, commands in and feedback out, and a stand-in for a recorded one. No I/O, no clock.
 
-It keeps to 'How the chassis behaves' of the protocol notes. Where those are silent, it does what is worst for the
-gateway and still plausible: above all it executes the last command indefinitely when commands cease.
+It follows 'How the chassis behaves' of the protocol notes. Where those are silent, it does the plausible thing
+that is worst for the gateway: above all it executes the last command indefinitely when commands cease.
 
-A recorded run holds the chassis's answers to the recorded commands. Where another run of the arbiter commands
-something else, ``StandIn`` shows frames in their place: at the recorded times, with the recorded alive counters,
-and what was lost, late or broken stays so; bumpers and all that the remote control does stay as recorded.
+A recorded run has the chassis's feedback to the recorded commands. If a rerun commands something else, ``StandIn``
+replaces that feedback: at the recorded times, with the recorded alive counters. Lost, late or broken frames stay
+so, and bumpers and the remote control stay as recorded.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Values = Mapping[str, Value]
 
 _CHECKSUM_BYTE: Final = 7
 _CHECKSUM_ERROR: Final = 0xA5
-"""The bits that a bad checksum is wrong by. Any but none would do."""
+"""Flips bits of a bad checksum."""
 
 
 class _Row(msgspec.Struct):
-    """One feedback message."""
+    """State of one feedback message."""
 
     name: str
     can_id: int
@@ -55,7 +55,7 @@ class FeedbackSender:
 
     @property
     def next_ns(self) -> int:
-        """The due time of the next frame."""
+        """Due time of the next frame."""
         return min(row.next_ns for row in self._rows)
 
     def due(
@@ -66,7 +66,7 @@ class FeedbackSender:
         reports: Mapping[str, Callable[[], Values]],
         disturbances: Disturbances,
     ) -> list[Frame]:
-        """The frames that are due at this instant; ``reports`` has the values of each message."""
+        """Return the frames due now; ``reports`` gives the values of each message."""
         frames = []
         for row in self._rows:
             if row.next_ns <= now_ns:
@@ -80,13 +80,13 @@ class FeedbackSender:
         return frames
 
     def _plan(self, row: _Row) -> None:
-        # From the start, not from the last time: rounding never adds up, and periods in ratio stay in step.
+        # Counted from the start, so that rounding never adds up and periods stay in step.
         row.sent += 1
         row.next_ns = self._start_ns + int(row.sent * row.period_ns / self._rate_multiplier)
 
 
 def _data(row: _Row, encoder: Encoder, values: Values, disturbances: Disturbances) -> bytes:
-    """The frame's bytes; none if it is not on the bus."""
+    """Return the frame's bytes; none if it is not on the bus."""
     if not disturbances.quiet and disturbances.strike(Disturbance.SILENCE, row.name):
         return b""
     row.frozen = (row.frozen or values) if disturbances.strike(Disturbance.FREEZE, row.name) else None
@@ -113,11 +113,11 @@ _OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
 
 
 class SimulatedState(msgspec.Struct, frozen=True):
-    """The true state of the chassis, whatever its frames report. For tests and demonstrations.
+    """The true state of the chassis, independent of its frames. For tests and demonstrations.
 
     Attributes:
         speed_mps: signed, forward positive.
-        ignored_frames: frames received that were no valid command.
+        ignored_frames: received frames that were no valid command.
     """
 
     mode: Mode
@@ -146,7 +146,7 @@ class VirtualChassis:
         rate_multiplier: float = 1.0,
         conditions: Conditions = NOMINAL,
     ) -> None:
-        """Powers up: standing, parked, nothing commanded; the first frames are due one period later."""
+        """Power up at standstill, parked, without commands; the first frames are due one period later."""
         layout = chassis.layout(variant)
         self._chassis = chassis
         self._first_layout = layout
@@ -176,9 +176,9 @@ class VirtualChassis:
         self._use_firmware(layout)
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """Takes a frame from the bus. What is no valid command of this chassis is ignored.
+        """Take a frame from the bus, and ignore it unless it is a valid command.
 
-        It takes effect at the next instant that ``advance`` comes to, as in a control unit with a fixed cycle.
+        A command takes effect at the next instant of ``advance``, as in a control unit with a fixed cycle.
         """
         del now_ns  # Commands have no timeout: their age never matters.
         decoded = self._decoder.decode(frame)
@@ -188,24 +188,24 @@ class VirtualChassis:
             self._ignored += 1
 
     def adopt(self, *, speed_mps: float, angle_deg: float, gear: GearPosition, parked: bool) -> None:
-        """From now on it moves so, whatever it did before, as far as a chassis can."""
+        """Take over this motion, as far as a chassis can."""
         self._motion.adopt(speed_mps=speed_mps, angle_deg=angle_deg, gear=gear, parked=parked)
         self._park_wanted = parked
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
-        """Causes a fault at a time, which may be to come."""
+        """Cause a fault, now or later."""
         self._disturbances.inject(line, at_ns)
 
     @property
     def next_due_ns(self) -> int:
-        """The time at which ``advance`` has something to do next."""
+        """Time of the next instant of ``advance``."""
         return min(self._feedback.next_ns, self._disturbances.next_foreign_ns)
 
     def advance(self, now_ns: int, wall_ns: int = 0) -> list[Frame]:
-        """Lives until now, and returns the frames that it sent meanwhile, in order.
+        """Advance until now, and return the frames sent meanwhile, in order.
 
-        However often this is called, the same frames come out: the chassis moves from one instant at which a
-        frame is due to the next.
+        The result does not depend on how often this is called: the chassis moves from one instant at which a frame
+        is due to the next.
         """
         frames: list[Frame] = []
         while (instant_ns := self.next_due_ns) <= now_ns:
@@ -216,7 +216,6 @@ class VirtualChassis:
 
     @property
     def state(self) -> SimulatedState:
-        """The true state of the chassis."""
         motion = self._motion
         return SimulatedState(
             mode=self._mode,
@@ -233,7 +232,7 @@ class VirtualChassis:
             ignored_frames=self._ignored,
         )
 
-    # What it obeys.
+    # Commands.
 
     def _live(self, instant_ns: int) -> None:
         self._disturbances.advance(instant_ns)
@@ -266,7 +265,7 @@ class VirtualChassis:
 
     def _auto_demand(self) -> Demand:
         speed_mps = self._number("Auto_DriveCmd", "TargetVelocity") * self._drive_scale_ratio(command=True)
-        # Park is reserved, and the rest has no meaning: they count as the default, neutral.
+        # Park is reserved, and other values have no meaning: they count as neutral, the default.
         gear = _GEARS.get(str(self._commands["Auto_GearCmd"]["TargetGear"]), GearPosition.NEUTRAL)
         return Demand(
             gear=gear,
@@ -290,7 +289,7 @@ class VirtualChassis:
         return Demand(GearPosition.NEUTRAL, 0.0, None, 0.0, parked)
 
     def _standstill(self, *, parked: bool, angle_deg: float | None = None) -> Demand:
-        """The motor brakes in gear and then holds; in neutral the robot would roll."""
+        """Brake by the motor in gear, and hold; in neutral the robot would roll."""
         gear, speed_mps = self._motion.gear, self._motion.speed_mps
         if gear is GearPosition.NEUTRAL and speed_mps:
             gear = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
@@ -314,12 +313,12 @@ class VirtualChassis:
         self._other_scale_ratio = other / own
 
     def _drive_scale_ratio(self, *, command: bool) -> float:
-        """Return the factor for a drive speed in our scale: 1, unless the chassis has the other variant's."""
+        """Return the factor for a drive speed: 1, unless the chassis uses the other variant's scale."""
         if not self._disturbances.wrong_scale:
             return 1.0
         return self._other_scale_ratio if command else 1 / self._other_scale_ratio
 
-    # What it reports.
+    # Feedback.
 
     @property
     def _gear_position(self) -> GearPosition:
@@ -336,7 +335,7 @@ class VirtualChassis:
         return ParkingStatus.APPLIED if self._motion.parked else ParkingStatus.RELEASED
 
     def _shown(self, message: str, signal: str, value: float) -> float:
-        """The value, or the nearest that the frame has room for: a robot may roll faster than it can say."""
+        """Clamp a value to the signal's range: a robot may roll faster than its frame can show."""
         limits = self._layout.messages[message].signal(signal)
         return max(limits.minimum, min(limits.maximum, value))
 
@@ -374,7 +373,7 @@ class VirtualChassis:
         return {"Valid": True, "RearLeftPulses": left, "RearRightPulses": right}
 
     def _body(self) -> Values:
-        # An odometer shows the metres that are full.
+        # An odometer shows whole metres.
         mileage_km = self._shown(
             "Auto_MileageAndBodyFeedback", "TotalMileage", math.floor(self._motion.mileage_m) / 1000
         )
@@ -399,12 +398,7 @@ _COUNTER_BYTE: Final = 6
 
 
 class StandIn:
-    """Shows recorded frames as they would have been.
-
-    Args:
-        design: the chassis that was recorded.
-        variant: of its firmware; not UNKNOWN.
-    """
+    """Replaces recorded feedback by that of a simulated chassis. The variant must be known."""
 
     def __init__(self, design: Chassis, variant: Variant) -> None:
         self._design = design
@@ -420,17 +414,17 @@ class StandIn:
 
     @property
     def is_acting(self) -> bool:
-        """Frames are shown otherwise than recorded."""
+        """Feedback is replaced."""
         return self._chassis is not None
 
     @property
     def stands(self) -> bool:
-        """Neither the recorded chassis nor the one in its place moves."""
+        """Neither the recorded chassis nor the stand-in moves."""
         own = self._chassis
         return self._speed_mps() == 0 and (own is None or own.state.speed_mps == 0)
 
     def begin(self, now_ns: int) -> None:
-        """Begin to simulate the chassis, from its last recorded state: its commands differ from here on."""
+        """Begin to simulate the chassis from its last recorded state, where commands begin to differ."""
         if self._chassis is None:
             chassis = self._chassis = VirtualChassis(self._design, self._layout.variant, now_ns)
             for frame in self._heard.values():
@@ -439,17 +433,17 @@ class StandIn:
             self._own.clear()
 
     def end(self) -> None:
-        """The recorded frames are true again."""
+        """Return to the recorded feedback."""
         self._chassis = None
 
     def hear(self, frame: Frame, now_ns: int) -> None:
-        """A command frame that the chassis got in the other run."""
+        """Take a command frame of the rerun."""
         self._heard[frame.can_id] = frame
         if self._chassis is not None:
             self._chassis.receive(frame, now_ns)
 
     def show(self, frame: Frame, now_ns: int) -> Frame:
-        """The frame in place of a recorded one."""
+        """Return the frame to use in place of a recorded one."""
         name = self._names.get(frame.can_id)
         if name is None or check(frame) is not None:
             return frame
@@ -460,7 +454,7 @@ class StandIn:
         for own in chassis.advance(now_ns, frame.wall_ns):
             self._own[own.can_id] = own
         if self._is_remote:
-            # Whoever holds the transmitter drives as recorded, and the chassis is where they took it.
+            # Under the remote control the chassis moves as recorded.
             self._adopt(chassis)
             return frame
         shown = self._own.get(frame.can_id)
@@ -487,7 +481,7 @@ class StandIn:
         return self._encoder.encode(BODY, values, counter, recorded.wall_ns)
 
     def _adopt(self, chassis: VirtualChassis) -> None:
-        """Puts the chassis where the recorded frames say that it is."""
+        """Set the chassis to its recorded motion."""
         steering, gear = self._signals("Auto_SteeringFeedBack"), self._signals("Auto_GearFeedBack")
         parking = self._signals("Auto_ParkingFeedBack")
         position = gear.get("GearPosition")
@@ -526,7 +520,7 @@ def _gear_of(position: object) -> GearPosition:
 
 
 def _as_counted(recorded: Frame, shown: Frame) -> Frame:
-    """The shown frame with the recorded one's alive counter and time."""
+    """Return the simulated frame with the recorded one's alive counter and time."""
     data = bytearray(shown.data)
     data[_COUNTER_BYTE] = data[_COUNTER_BYTE] & 0x0F | recorded.data[_COUNTER_BYTE] & 0xF0
     data[7] = checksum(data)

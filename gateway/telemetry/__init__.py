@@ -1,4 +1,4 @@
-"""From message to sample: what a frame says, the whole robot in one message, the gateway's health.
+"""From frame to sample: decoded feedback, the whole robot in one message, the gateway's health.
 
-``samples`` are those that are published, and those that arrive at the other end.
+``samples`` has received samples, and the newest published ones.
 """

@@ -13,12 +13,12 @@ from schemas.settings import BATCH_MAX_FRAMES
 
 
 class FeedbackStream:
-    """The way of one feedback frame from the bus to a sample.
+    """Turns one feedback frame into samples.
 
     Attributes:
-        decoder: turns its data into a message; None while the scale of its speeds is not known.
-        latest: the newest message; None before the first, while the frame is silent and while it is withheld.
-        data: the newest valid frame's bytes, withheld or not; None before the first and while it is silent.
+        decoder: None while the scale of its speeds is unknown.
+        latest: the newest message; None before the first, while the frame is silent, and without a decoder.
+        data: the newest valid frame's bytes; None before the first and while the frame is silent.
     """
 
     def __init__(self, decoder: MessageDecoder, faults: Counter[FaultKind]) -> None:
@@ -34,7 +34,7 @@ class FeedbackStream:
         self._withheld = 0
 
     def receive(self, frame: Frame, now_ns: int) -> Sample | None:
-        """The sample of a frame of this stream, or None if the frame is not one to publish."""
+        """Return the sample of a frame of this stream, or None if it is not published."""
         fault = check(frame)
         if fault is not None:
             self._faults[fault] += 1
@@ -62,23 +62,23 @@ class FeedbackStream:
         return Sample(self._subject, encode(message))
 
     def withhold(self) -> None:
-        """Publish nothing more until a decoder is set: its scale is in doubt."""
+        """Publish nothing until a decoder is set, because the scale is in doubt."""
         self.decoder = None
         self.latest = None
 
     def forget(self) -> None:
-        """Forget the newest message: what was seen before the bus was lost says nothing about now."""
+        """Forget the newest message, as after a loss of the bus."""
         self.latest = self.data = None
 
     def tick(self, now_ns: int) -> None:
-        """Time passes: the frame may have become silent."""
+        """Check for silence."""
         fault = self.supervisor.tick(now_ns)
         if fault is not None:
             self._faults[fault] += 1
             self.latest = self.data = None
 
     def health(self, elapsed_s: float, now_ns: int) -> FrameHealth:
-        """Return the health of the stream; the rate is that since the last call, which was ``elapsed_s`` ago."""
+        """Return the stream's health, with its rate since the last call, ``elapsed_s`` ago."""
         supervisor = self.supervisor
         rate_hz = (supervisor.valid - self._rated_valid) / elapsed_s
         self._rated_valid = supervisor.valid
@@ -97,10 +97,10 @@ class FeedbackStream:
 
 
 class FrameBatch:
-    """Holds frames until they are taken. Bounded: the oldest go first, and are counted.
+    """Collects frames until they are taken. Beyond its capacity the oldest are dropped and counted.
 
     Attributes:
-        received: frames held since the start, those that were lost here included.
+        received: frames since the start, including dropped ones.
     """
 
     def __init__(self, bus: str, capacity: int = BATCH_MAX_FRAMES) -> None:
@@ -111,12 +111,11 @@ class FrameBatch:
         self.received = 0
 
     def add(self, frame: Frame) -> None:
-        """Hold a frame."""
         self.received += 1
         self._frames.append(frame)
 
     def take(self, wall_ns: int) -> CanFrames | None:
-        """The frames held, in their order, as one message; None if there are none."""
+        """Return the collected frames, in order, as one message; None if there are none."""
         frames = self._frames
         if not frames:
             return None

@@ -35,22 +35,19 @@ from schemas.messages import (
 )
 
 UNKNOWN_IDENTIFIERS_MAX: Final = 64
-"""Identifiers that are counted by name; a bus full of strangers must not fill the memory."""
+"""Unknown identifiers that are counted one by one, to bound the memory."""
 
 OTHER_IDENTIFIERS: Final = "other"
 
 
 class Links(msgspec.Struct, frozen=True):
-    """The bus, Zenoh and the guard, as the loop reports them to the core.
+    """The bus, Zenoh and the guard, as the loop reports them to the core; most fields as in GatewayHealth.
 
     Attributes:
-        bus_up, bus_detail, bus_losses, bus_drops: the CAN bus, as in GatewayHealth.
         cpu_ns: processor time of the process since its start.
-        inbox_drops: requests that were dropped unread because too many came, since the start.
-        outside: the other ends of Zenoh connections that leave this machine.
-        certificate_ends_s, grant_ends_s: the end of the gateway's certificate and of the robot's grant, seconds
-            since 1970; None where there is none.
-        notes: things that somebody has to see to, in words.
+        outside: remote ends of Zenoh connections that leave this computer.
+        certificate_ends_s, grant_ends_s: expiry, seconds since 1970; None where there is none.
+        notes: texts on what needs attention.
     """
 
     bus_up: bool = False
@@ -91,14 +88,14 @@ class HealthMeter:
         self._sequence = 0
 
     def unknown_identifier(self, can_id: int) -> None:
-        """A frame came whose identifier is not in the DBC."""
+        """Count a frame whose identifier is not in the DBC."""
         name = hex_identifier(can_id)
         if name not in self._unknown and len(self._unknown) >= UNKNOWN_IDENTIFIERS_MAX:
             name = OTHER_IDENTIFIERS
         self._unknown[name] += 1
 
     def tick_lateness(self, late_ns: int) -> None:
-        """A tick began this much after its time."""
+        """Note how late a tick began."""
         self._lateness_ns.append(late_ns)
         self._worst_ns = max(self._worst_ns, late_ns)
 
@@ -112,7 +109,7 @@ class HealthMeter:
         streams: list[FeedbackStream],
         barred: Iterable[str] = (),
     ) -> GatewayHealth:
-        """The health of the time since the last report; ``barred`` says why nobody may engage the robot."""
+        """Return the health since the last report; ``barred`` has the reasons that bar the robot from engaging."""
         elapsed_s = max(now_ns - self._reported_ns, 1) / 1e9
         late_ns = sorted(self._lateness_ns) or [0]
         health = GatewayHealth(
@@ -165,17 +162,16 @@ def _ns(time_s: int | None) -> int | None:
 FeedbackType = TypeVar("FeedbackType", bound=Feedback)
 
 DECIMALS: Final = 4
-"""Of derived values: 0.1 mm/s, well below the chassis's own resolution."""
+"""Of derived values: 0.1 mm/s, well below the chassis's resolution."""
 
 
 class LatestMessages:
-    """The newest message of each class; none of a frame that is silent."""
+    """The newest message of each class, without silent frames."""
 
     def __init__(self, messages: list[Feedback]) -> None:
         self._by_type: dict[type[Feedback], Feedback] = {type(message): message for message in messages}
 
     def of(self, kind: type[FeedbackType]) -> FeedbackType | None:
-        """The newest message of this class, or None."""
         message = self._by_type.get(kind)
         return message if isinstance(message, kind) else None
 
@@ -190,9 +186,9 @@ def robot_state(
     variant: Variant,
     silent: list[str],
 ) -> RobotState:
-    """The state. A field whose feedback is missing, silent or marked invalid is None, or ``undefined``.
+    """Build the state. A field whose feedback is missing, silent or marked invalid is None or ``undefined``.
 
-    That holds for the mode too: that of an invalid frame is no evidence that the chassis accepts commands.
+    So is the mode: an invalid frame is no evidence that the chassis accepts commands.
     """
     gear, steering, drive = messages.of(Gear), messages.of(Steering), messages.of(Drive)
     braking, parking, body = messages.of(Braking), messages.of(Parking), messages.of(Body)

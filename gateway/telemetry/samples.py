@@ -1,4 +1,4 @@
-"""Samples and liveliness tokens as they arrive, and the newest of those that late joiners ask for. Pure."""
+"""Received samples and liveliness tokens, and recent samples for late joiners. Pure."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Received(msgspec.Struct, frozen=True):
 
 
 class Missed(msgspec.Struct, frozen=True):
-    """More samples came than can wait: some may be missing from those before this."""
+    """A queue overflowed: samples before this may be missing."""
 
 
 class TokenChange(msgspec.Struct, frozen=True):
-    """A gateway's liveliness token has appeared or gone."""
+    """A gateway's liveliness token appeared or disappeared."""
 
     key: str
     present: bool
@@ -34,11 +34,7 @@ Arrival = Received | Missed | TokenChange
 
 
 class KeptSamples:
-    """The newest payloads of one subject. The nth one that was added has the sequence n.
-
-    Args:
-        max_bytes: of payloads; beyond it the oldest go.
-    """
+    """The newest payloads of one subject, up to a number of bytes. The nth one that was added has sequence n."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
@@ -47,7 +43,6 @@ class KeptSamples:
         self._oldest = 0
 
     def add(self, payload: bytes) -> None:
-        """The newest one."""
         self._payloads.append(payload)
         self._bytes += len(payload)
         while self._bytes > self._max_bytes:
@@ -55,6 +50,6 @@ class KeptSamples:
             self._oldest += 1
 
     def piece(self, first: int) -> list[bytes]:
-        """Those from this sequence on, or from the oldest that is kept: a bounded number."""
+        """Return a bounded number of payloads from this sequence on, or from the oldest one stored."""
         start = max(0, first - self._oldest)
         return list(islice(self._payloads, start, start + KEPT_PIECE))

@@ -1,6 +1,6 @@
-"""Zenoh for programs that listen to robots and ask them, and the router where they meet.
+"""Zenoh for programs that listen to robots and query them, and the router.
 
-No Python of ours runs on Zenoh's threads: what arrives waits in ring channels until ``drain`` is called.
+No Python of ours runs on Zenoh's threads: arrivals wait in ring channels until ``drain`` is called.
 """
 
 from __future__ import annotations
@@ -39,58 +39,58 @@ from schemas.zenoh_session import (
 )
 
 FURTHER_S: Final = 0.2
-"""Who else answers has so long after the first reply. The reply of a robot that is alone ends the question."""
+"""Time to wait for further replies after the first. A query to a single robot ends with its reply."""
 
 POLL_S: Final = 0.002
-"""Period at which replies are looked for."""
+"""Period at which replies are polled."""
 
 SAMPLES_WAITING: Final = 16_384
-"""Samples of one subscription that may wait to be drained; beyond it the oldest go.
+"""Queued samples of one subscription; beyond it the oldest are dropped.
 
-Those of 400 robots in two seconds: a process on a busy machine is held up, and shall not lose any.
+Enough for 400 robots during two seconds in which a busy computer holds up this process.
 """
 
 EVENTS_OF_BEFORE: Final = 50
-"""The number of earlier events of a robot that a new listener receives."""
+"""Earlier events of a robot that a new listener receives."""
 
 EVENTS_PER_LOOK: Final = 256
-"""Events of all robots that are taken at a time, some milliseconds to read; the others wait for the next look."""
+"""Events of all robots that are taken at a time, some milliseconds of work; the others wait."""
 
 REPLIES_WAITING: Final = 16_384
-"""Replies to one question that may wait to be polled; beyond it the oldest go. A fleet's stop has one a robot."""
+"""Queued replies to one query; beyond it the oldest are dropped. A fleet's stop has one per robot."""
 
 _TIMEOUT: Final = b"Timeout"
-"""Zenoh's own reply to a query whose time is over."""
+"""Zenoh's reply to a query that timed out."""
 
 
 class PendingQuery:
-    """A query that is under way. Its replies wait here, and not in one of Zenoh's own channels.
+    """A query under way. Its replies wait here, not in one of Zenoh's channels.
 
-    A FIFO channel that is full holds up Zenoh's thread, and then the next query of this session waits for ever. A
-    ring channel loses what is in it when the query ends.
+    A full FIFO channel blocks Zenoh's thread, and then the next query of this session for ever. A ring channel
+    loses its content when the query ends.
 
     Attributes:
-        rejected: replies that are not of whom they should be; to be taken out by whoever wants them.
-        timed_out: it ended before everybody who was asked had answered.
+        rejected: replies that were not accepted; the owner removes them.
+        timed_out: it ended before all replies had arrived.
     """
 
     def __init__(self, accepts: Callable[[Received], bool] | None = None) -> None:
-        """No reply has come yet; one that is not accepted counts as none."""
+        """Begin without replies; those that ``accepts`` refuses go to ``rejected``."""
         self._accepts = accepts
         self.rejected: deque[Received] = deque(maxlen=REPLIES_WAITING)
         self.is_over = False
         self.timed_out = False
         self._arrived: deque[zenoh.Reply] = deque(maxlen=REPLIES_WAITING)
         self._ended: list[None] = []
-        # On a thread of Zenoh's for Python alone, which waits for nothing here.
+        # Runs on Zenoh's thread for Python callbacks, and never blocks it.
         self.handler: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
             self._arrived.append, lambda: self._ended.append(None)
         )
 
     def poll(self) -> list[Received]:
-        """The replies that have come since the last time, a bounded number."""
+        """Return the replies since the last call, a bounded number."""
         found: list[Received] = []
-        # Looked at first: what came before the end is in this poll.
+        # Read first, so that this poll has every reply from before the end.
         is_over = bool(self._ended)
         for _ in range(len(self._arrived)):
             reply = self._arrived.popleft()
@@ -105,11 +105,11 @@ class PendingQuery:
         return found
 
     def wait(self, timeout_s: float, further_s: float = FURTHER_S) -> list[Received]:
-        """All replies. After the first, others have ``further_s`` to come."""
+        """Return all replies. After the first, wait ``further_s`` for others."""
         deadline_s = time.monotonic() + timeout_s
         replies: list[Received] = []
         while True:
-            # Asked first: what came before the end is then among what is polled.
+            # Read first, so that the poll has every reply from before the end.
             is_over = self.is_over or time.monotonic() >= deadline_s
             found = self.poll()
             if found and not replies:
@@ -121,12 +121,12 @@ class PendingQuery:
 
 
 def links_of(session: zenoh.Session) -> frozenset[str]:
-    """The connections to other nodes. One that is lost and made anew is another."""
+    """Return the connections to other nodes. A reconnection is another one."""
     return frozenset(f"{link.src} {link.dst}" for link in session.info.links())
 
 
 def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuery:
-    """Ask for the liveliness tokens under a key."""
+    """Query the liveliness tokens under a key."""
     question = PendingQuery()
     session.liveliness().get(key, question.handler, timeout=timeout_s)
     return question
@@ -139,23 +139,23 @@ def ask_all(
     timeout_s: float,
     **more: Any,  # noqa: ANN401 - as of Session.get
 ) -> PendingQuery:
-    """Ask all who answer for a key; the replies are the question's."""
+    """Query all nodes that answer for a key; the replies go to ``question``."""
     every, none = zenoh.QueryTarget.ALL, zenoh.ConsolidationMode.NONE
     try:
         session.get(key, question.handler, target=every, consolidation=none, timeout=timeout_s, **more)
     except zenoh.ZError as error:
-        raise CommandError(f"cannot ask: {reason(str(error))}", ExitCode.UNREACHABLE) from error
+        raise CommandError(f"cannot send the query: {reason(str(error))}", ExitCode.UNREACHABLE) from error
     return question
 
 
 def received_of(sample: zenoh.Sample) -> Received:
-    """A sample, out of Zenoh's hands."""
+    """Copy a sample out of Zenoh."""
     attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
     return Received(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes(), attachment)
 
 
 def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterator[Received | Missed]:
-    """The samples that wait in a ring of this size. They end, however fast more come."""
+    """Yield the samples queued in a ring of this size, and no more, however fast others arrive."""
     for _ in range(waiting):
         if (sample := try_recv()) is None:
             return
@@ -165,17 +165,17 @@ def receive(try_recv: Callable[[], zenoh.Sample | None], waiting: int) -> Iterat
 
 
 class SessionOwner:
-    """Owns a session: leaves Zenoh with ``close``, or at the end of a ``with``."""
+    """Owns a session, and closes it at the end of a ``with``."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
 
     def connected(self) -> bool:
-        """Is any Zenoh node connected directly? A peer's session is open although none is."""
+        """Report whether a Zenoh node is directly connected. A peer's session opens without any."""
         return is_connected(self._session)
 
     def links(self) -> frozenset[str]:
-        """The connections to other nodes."""
+        """See ``links_of``."""
         return links_of(self._session)
 
     def close(self) -> None:
@@ -193,11 +193,11 @@ class RobotListener(SessionOwner):
     """Receives ``state``, ``safety/state``, ``gateway/health`` and liveliness tokens of one robot, or of all."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
-        """Subscribe to a robot, to several by ``*`` or to all, on a session that the listener then owns."""
+        """Subscribe to a robot, to several by ``*``, or to all. The listener owns the session."""
         super().__init__(session)
         self._declared = DeclaredKeys(session.declare_publisher)
         chunk = keys.chunk_of(name)
-        # Without history: Zenoh's threads would hand out the last health of a gateway that hangs, for ever.
+        # Without history: Zenoh would deliver the last health of a hanging gateway for ever.
         self._samples: tuple[Any, ...] = tuple(
             session.declare_subscriber(
                 f"{robot.root}/{chunk}/{BY_NAME[subject].name}", zenoh.handlers.RingChannel(SAMPLES_WAITING)
@@ -212,19 +212,19 @@ class RobotListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, name: str = "") -> Self:
-        """Open a session to where the settings say, and listen."""
+        """Open a session by the settings, and listen."""
         return cls(join(settings.zenoh), settings.robot, name)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
-        """Ask for the liveliness tokens; the robots that have one are heard by ``drain`` as well."""
+        """Query the liveliness tokens; ``drain`` yields them too."""
         return call_roll(self._session, self._roll, timeout_s)
 
     def ask_info(self, timeout_s: float) -> PendingQuery:
-        """Ask for ``gateway/info``: each gateway replies, also where several have one name."""
+        """Query ``gateway/info``: each gateway replies, even if several have one name."""
         return ask_all(self._session, self._info, PendingQuery(), timeout_s)
 
     def drain(self) -> Iterator[Arrival]:
-        """Yield the arrivals since the last call, a bounded number: more may come meanwhile."""
+        """Yield a bounded number of arrivals since the last call."""
         for _ in range(SAMPLES_WAITING):
             if (token := self._tokens.try_recv()) is None:
                 break
@@ -237,10 +237,9 @@ class RobotListener(SessionOwner):
 
 
 class FleetListener(RobotListener):
-    """Receives the health of all recorders too."""
+    """Also receives the health of all recorders."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
-        """Subscribe on a session, which the listener then owns; see ``RobotListener``."""
         super().__init__(session, robot, name)
         key = keys.of_recorder(robot.root, keys.ALL, BY_TYPE[RecorderHealth].name)
         health = session.declare_subscriber(key, zenoh.handlers.RingChannel(SAMPLES_WAITING))
@@ -248,10 +247,9 @@ class FleetListener(RobotListener):
 
 
 class DeskListener(FleetListener):
-    """Receives the events of all robots too, and those of before."""
+    """Also receives the events of all robots, including earlier ones."""
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
-        """Subscribe on a session, which the listener then owns; see ``RobotListener``."""
         super().__init__(session, robot, name)
         events = ext.declare_advanced_subscriber(
             session,
@@ -263,7 +261,7 @@ class DeskListener(FleetListener):
         self._events = events
 
     def drain(self) -> Iterator[Arrival]:
-        """Yield the arrivals since the last call, a bounded number; of events a small one, since all are read."""
+        """Yield a bounded number of arrivals since the last call; fewer of events, which take time to read."""
         yield from super().drain()
         yield from receive(self._events.try_recv, EVENTS_PER_LOOK)
 
@@ -272,7 +270,7 @@ ROUTER: Final = "router"
 
 
 def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]]:
-    """Open a session that routes, on the file's endpoints or those named. Returns it and its endpoints."""
+    """Open a router on the file's endpoints or those given. Returns its session and its endpoints."""
     config = base_configuration(str(file))
     if json.loads(config.get_json(MODE)) != ROUTER:
         raise CommandError(
@@ -283,17 +281,17 @@ def open_router(file: Path, listen: list[str]) -> tuple[zenoh.Session, list[str]
         enter(config, {LISTEN: [*listen]})
     endpoints = json.loads(config.get_json(LISTEN))
     if not isinstance(endpoints, list) or not endpoints:
-        raise CommandError(f"{plain(str(file))} does not say where to listen: --listen says it", ExitCode.USAGE)
+        raise CommandError(f"{plain(str(file))} names no endpoint to listen on: give --listen", ExitCode.USAGE)
     return open_configured(config, str(file)), list(map(str, endpoints))
 
 
 def open_local_router(endpoint: str) -> zenoh.Session:
-    """Open a router for this machine alone: without keys, for virtual robots."""
+    """Open a router without keys for virtual robots on this computer."""
     if not is_loopback(endpoint):
-        # Behind a router a gateway does not see who commands it, and from where.
+        # Behind a router a gateway cannot see whether commands come from another computer.
         raise CommandError(
-            f"{plain(endpoint)} can be reached from other machines: virtual robots have no keys; "
-            "give one of 127.0.0.1",
+            f"{plain(endpoint)} can be reached from other computers, but virtual robots have no keys; "
+            "give an endpoint on 127.0.0.1",
             ExitCode.USAGE,
         )
     config = base_configuration("")

@@ -1,12 +1,12 @@
 """Requests from Zenoh, and a node that joins it late.
 
-No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. Where too many
-come, those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's are
-those that carry the number of its lease: its name alone can be anybody's. Remote stops have rings of their own, so
-that no flood keeps one out; and since a key with a wildcard for its verb gets into them too, it counts as a stop.
+No Python of ours runs on Zenoh's threads: requests wait in ring channels that the loop drains. If too many arrive,
+those of the lease's holder go first and the oldest of the others are dropped and counted. The holder's requests
+are recognised by the number of its lease: any client can use its name. Remote stops have separate rings, so that
+no flood keeps one out; a key with a wildcard for its verb reaches them too, and counts as a stop.
 
-A client's session opens with its router alone. So it is tried again and again on a thread of its own, and the loop
-takes it over once it is there. Until then no request comes, and of what the robot publishes the kept samples wait.
+A client's session needs its router to open. A thread retries, and the loop takes the session over once it is open.
+Until then there are no requests, and published samples are stored for late joiners.
 """
 
 from __future__ import annotations
@@ -50,37 +50,36 @@ log = logging.getLogger(__name__)
 STOPS_WAITING: Final = 64
 VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
-"""Requests that may wait between two ticks; beyond it the oldest go, uncounted."""
+"""Queued requests between two ticks; beyond it the oldest are dropped, uncounted."""
 
 STATEMENTS_WAITING: Final = 128
-"""Statements of an authority that may wait between two ticks, 1 ms to look at; beyond it the oldest go."""
+"""Queued statements of an authority between two ticks, 1 ms of work; beyond it the oldest are dropped."""
 
-ATTACHMENT_MAX_BYTES: Final = 128
-"""No proof is longer."""
+ATTACHMENT_MAX_BYTES: Final = 128  # no proof is longer
 
 Proof = Callable[[str, bytes, bytes], bool]
 
 OWN_LINK_TIMEOUT_S: Final = 3.0
-"""The gateway's own two sessions are connected within this time, or something is wrong with the endpoint."""
+"""Time in which the gateway's own two sessions must be connected."""
 
 PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 
 
-class _Said(msgspec.Struct, frozen=True):
+class _Numbers(msgspec.Struct, frozen=True):
     """The fields that distinguish the holder's requests from a flood under its name."""
 
     lease: int
     seq: int | None = None
 
 
-_SAID: Final = msgspec.msgpack.Decoder(_Said)
+_NUMBERS: Final = msgspec.msgpack.Decoder(_Numbers)
 
 
 class CommandInbox:
-    """Where requests wait for the loop. Nothing here raises or blocks once it is open.
+    """Queues requests for the loop. Nothing raises or blocks once it is open.
 
     Attributes:
-        drops: requests that were dropped unread since the start, because too many came.
+        drops: requests dropped unread since the start, because too many arrived.
     """
 
     def __init__(
@@ -93,8 +92,8 @@ class CommandInbox:
         """Subscribe on a session, which the inbox then owns.
 
         Args:
-            is_proven: does a request come from the lease's holder? None where nothing is signed.
-            sieve: chooses the statements that are verified in a tick; None where there is no authority.
+            is_proven: verifies that a request is the lease holder's; None where nothing is signed.
+            sieve: chooses the statements to verify in a tick; None without an authority.
         """
         self.drops = 0
         self._is_proven = is_proven
@@ -122,18 +121,18 @@ class CommandInbox:
         return str(self._session.zid())
 
     def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
-        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'.
+        """Return a bounded number of queued requests: stops first, the lease holder's before the others.
 
         Args:
-            holder: who holds the lease; empty if nobody does.
-            lease: its number. What comes under the holder's name without it is another's.
-            after: the sequence of the last drive that was accepted; what is not above it is a repetition.
+            holder: the operator that holds the lease; empty if there is none.
+            lease: its number. A request in the holder's name without it is not the holder's.
+            after: the sequence of the last accepted drive; a drive not above it is a repetition.
         """
-        # All that is in these rings is a stop, whatever its key says: else what is none could displace one.
+        # Everything in these rings counts as a stop, whatever its key: else other requests could displace it.
         stops, asked = (_take(ring.try_recv, STOPS_PER_TICK) for ring in (self._stop_puts, self._stop_queries))
         requests = [self._put(sample, STOP_VERB) for sample in stops]
         requests += [self._query(query, STOP_VERB) for query in asked]
-        # With the chunk before it: a holder may be called like a robot, or like the root.
+        # With the chunk before it: a holder may have the name of a robot, or of the root.
         holders = f"/{COMMAND_CHUNK}/{holder}/" if holder else ""
 
         def is_holders(arrived: Any) -> bool:  # noqa: ANN401 - a sample or a query
@@ -145,14 +144,14 @@ class CommandInbox:
             )
 
         verbs = self._newest(_take(self._verbs.try_recv, VERBS_WAITING), VERBS_PER_TICK, is_holders)
-        # A query for a stop, or for any verb, reaches this ring too; the stops' own has it already.
+        # Queries for a stop, or for any verb, arrive in this ring too, and are in the stops' ring already.
         requests += [self._query(query) for query in verbs if not query.key_expr.intersects(self._any_stop)]
         drives = self._newest(_take(self._drives.try_recv, DRIVES_WAITING), DRIVES_PER_TICK, is_holders)
         requests += [self._put(sample) for sample in drives]
         return requests
 
     def statements(self) -> list[RawRequest]:
-        """The statements of an authority that wait, a bounded number. Those that are not chosen get no answer."""
+        """Return a bounded number of an authority's queued statements. Those not chosen get no answer."""
         if self._sieve is None:
             return []
         arrived = _take(self._statements.try_recv, STATEMENTS_WAITING)
@@ -160,14 +159,14 @@ class CommandInbox:
         return [self._query(query) for query in self._sieve.choose(texts)]
 
     def reply(self, reply: PendingReply) -> None:
-        """Answer who waits for it."""
+        """Send a reply to its query."""
         query = self._queries.pop(reply.handle, None)
         if query is None:
             return
         asked = str(query.key_expr)
         operator, verb = keys.parse_command(asked)
         command = BY_VERB.get(reply.verb)
-        # The query's own key may hold a wildcard for the robot; that of a stop for the verb too.
+        # The query's key may have a wildcard for the robot, and a stop's for the verb too.
         is_named = reply.verb in {verb, STOP_VERB}
         key = self._key(operator, reply.verb) if operator and is_named and "*" not in reply.verb else asked
         if not reply.verb:
@@ -185,9 +184,9 @@ class CommandInbox:
         return keys.command(self._root, self._robot, operator, verb)
 
     def _newest(self, arrived: list[Any], most: int, is_holders: Callable[[Any], bool]) -> list[Any]:
-        """The newest of what has come, at most so many of the holder and so many of all others."""
+        """Return the newest requests: at most ``most`` of the holder, and as many of all others."""
         if len(arrived) <= most:
-            # There is room for all: nothing has to be read to choose.
+            # All of them: none has to be read.
             return arrived
         own: deque[Any] = deque()
         others: deque[Any] = deque()
@@ -212,7 +211,7 @@ class CommandInbox:
 def _raw(handle: int, verb: str, operator: str, arrived: zenoh.Sample | zenoh.Query) -> RawRequest:
     size = 0 if arrived.payload is None else len(arrived.payload)
     data, attachment = _bytes_of(arrived, REQUEST_MAX_BYTES if verb else TEXT_MAX_BYTES)
-    # That of a stop is never read: whoever signs one signs it without.
+    # A stop's payload is never read, and not signed.
     payload = b"" if verb == STOP_VERB else data
     return RawRequest(handle, verb, operator, payload, size, version_fault(verb, arrived.encoding), attachment)
 
@@ -232,7 +231,7 @@ def version_fault(verb: str, encoding: zenoh.Encoding | None) -> str:
 
 
 def _bytes_of(arrived: zenoh.Sample | zenoh.Query, most: int = REQUEST_MAX_BYTES) -> tuple[bytes, bytes]:
-    """Payload and attachment. What is larger than any can be is not even copied."""
+    """Return payload and attachment. Oversized ones are not copied."""
     attachment = arrived.attachment
     return (
         _payload_of(arrived, most),
@@ -246,14 +245,14 @@ def _payload_of(arrived: zenoh.Sample | zenoh.Query, most: int) -> bytes:
 
 
 def _fits(payload: zenoh.ZBytes | None, lease: int, after: int) -> bool:
-    """Does it carry this number of a lease, and a sequence that is new, where it has one?"""
+    """Check for this lease number and, if there is a sequence, that it is new."""
     if payload is None or not lease or len(payload) > REQUEST_MAX_BYTES:
         return False
     try:
-        said = _SAID.decode(payload.to_bytes())
+        found = _NUMBERS.decode(payload.to_bytes())
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return False
-    return said.lease == lease and (said.seq is None or said.seq > after)
+    return found.lease == lease and (found.seq is None or found.seq > after)
 
 
 def _take(try_recv: Callable[[], Any], most: int) -> list[Any]:
@@ -272,10 +271,10 @@ def open_inbox(
     is_proven: Proof | None = None,
     sieve: StatementSieve[zenoh.Query] | None = None,
 ) -> CommandInbox:
-    """Open the session for commands, beside that for telemetry.
+    """Open the command session, beside the telemetry session.
 
-    It connects where that one does, and to that one where it listens: who connects there reaches this session too.
-    A client reaches it through that one; a peer is told of it, and connects to it.
+    It connects to the same endpoints, and to the telemetry session itself where that listens: so every node that
+    connects there can reach it. A client reaches it through that session; a peer learns its endpoint there.
     """
     own = [own_endpoint(endpoint) for endpoint in place.listen]
     try:
@@ -284,12 +283,12 @@ def open_inbox(
         )
     except CommandError as error:
         listen = ", ".join(place.command_listen)
-        on = f"; commands are listened for on {listen} (zenoh.command_listen)" if listen else ""
+        on = f"; the command session listens on {listen} (zenoh.command_listen)" if listen else ""
         raise CommandError(f"{error}{on}", error.code) from error
     if own and not _finds(session, place.node):
         log.warning(
-            "the session for commands is not connected to %s: whoever connects there cannot command this robot, "
-            "nor stop it; is there a certificate to connect with?",
+            "the command session is not connected to %s: clients that connect there can neither command nor stop "
+            "this robot; check the certificate for outgoing connections",
             ", ".join(own),
         )
     return CommandInbox(session, settings, is_proven, sieve)
@@ -304,36 +303,35 @@ def _finds(session: zenoh.Session, node: str) -> bool:
     return False
 
 
-AGAIN_S: Final = 1.0
-"""Pause between two attempts."""
+AGAIN_S: Final = 1.0  # pause between two attempts
 
 CLOSE_TIMEOUT_S: Final = 3.0
-"""The longest wait of a gateway that ends for an attempt that is under way."""
+"""Longest wait, when the gateway ends, for an attempt under way."""
 
 Joined = tuple[ZenohNode, CommandInbox | None]
 
 
 class LateInbox:
-    """Where requests will wait; none come yet."""
+    """Stands for the inbox until there is one."""
 
     def __init__(self) -> None:
         self.inbox: CommandInbox | None = None
 
     @property
     def drops(self) -> int:
-        """Requests that were dropped unread since the start."""
+        """Requests dropped unread since the start."""
         return 0 if self.inbox is None else self.inbox.drops
 
     def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
-        """Return the requests that wait, as ``CommandInbox.drain`` does."""
+        """See ``CommandInbox.drain``."""
         return [] if self.inbox is None else self.inbox.drain(holder, lease, after)
 
     def statements(self) -> list[RawRequest]:
-        """Return the statements of an authority that wait."""
+        """See ``CommandInbox.statements``."""
         return [] if self.inbox is None else self.inbox.statements()
 
     def reply(self, reply: PendingReply) -> None:
-        """Answer who waits for it."""
+        """See ``CommandInbox.reply``."""
         if self.inbox is not None:
             self.inbox.reply(reply)
 
@@ -344,12 +342,12 @@ class LateInbox:
 
 
 class LateNode:
-    """The gateway's node, once a router answers. Nothing here raises or blocks, but for its end."""
+    """Stands for the gateway's node until a router answers. Only ``close`` may block; nothing raises."""
 
     warning: Final = ""
 
     def __init__(self, join: Callable[[], Joined], inbox: LateInbox | None, cause: str) -> None:
-        """Begin to try; ``inbox`` is None for a gateway that only listens."""
+        """Begin to connect; ``inbox`` is None for a gateway that only listens."""
         self._join = join
         self._inbox = inbox
         self._node: ZenohNode | None = None
@@ -372,15 +370,15 @@ class LateNode:
 
     @property
     def failures(self) -> int:
-        """Samples that Zenoh did not take."""
+        """Samples that Zenoh did not accept."""
         return 0 if self._node is None else self._node.failures
 
     def notes(self) -> tuple[str, ...]:
-        """Return why the robot is off the network, for people; nothing once it is on it."""
+        """Return why the robot is off the network; nothing once it is connected."""
         return () if self._node is not None else (f"off the network: {self._cause}",)
 
     def publish(self, sample: Sample) -> None:
-        """Hand a sample to Zenoh, or keep it for later, as far as its subject is kept."""
+        """Publish a sample, or store it if late joiners may ask for its subject."""
         if self._node is not None:
             self._node.publish(sample)
             return
@@ -390,7 +388,7 @@ class LateNode:
             self._recent[sample.subject].append(sample)
 
     def answer(self, reply: Callable[[], bytes]) -> None:
-        """Answer the queries that wait; take the node over first, where it has come."""
+        """Answer queued queries; first take the node over if it has connected."""
         if self._node is None and self._joined is not None:
             self._node, inbox = self._joined
             self._node.resume(self._kept, [sample for samples in self._recent.values() for sample in samples])
@@ -402,15 +400,15 @@ class LateNode:
             self._node.answer(reply)
 
     def peers(self) -> int:
-        """Return the number of nodes connected directly."""
+        """See ``ZenohNode.peers``."""
         return 0 if self._node is None else self._node.peers()
 
     def outside(self) -> tuple[str, ...]:
-        """Return the other ends of connections that leave this machine."""
+        """See ``ZenohNode.outside``."""
         return () if self._node is None else self._node.outside()
 
     def close(self) -> None:
-        """Leave Zenoh, within a bounded time. Never raises. The inbox that was taken over is closed by itself."""
+        """Leave Zenoh, within a bounded time. Never raises. The inbox is closed separately."""
         self._ends.set()
         self._thread.join(CLOSE_TIMEOUT_S)
         if self._node is not None:
@@ -433,7 +431,7 @@ class LateNode:
 
     def _say(self, cause: str) -> None:
         if cause != self._cause:
-            log.warning("%s; the robot is off the network, and nobody can command it; trying on", cause)
+            log.warning("%s; the robot is off the network and cannot be commanded; retrying", cause)
         self._cause = cause
 
 

@@ -49,71 +49,69 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 QUERIES_WAITING: Final = 16
-"""Queries on gateway/info that may wait; beyond it the oldest go."""
+"""Queued queries on gateway/info; beyond it the oldest are dropped."""
 
 QUERIES_PER_TICK: Final = 2
 
-
-LONGEST_SEQUENCE: Final = 10
-"""No sequence has more digits."""
+SEQUENCE_MAX_DIGITS: Final = 10
 
 MISS_HEARTBEAT_S: Final = 1.0
-"""The period in which a subject with a history publishes its last sequence, so that readers notice a loss."""
+"""Period at which a subject with a history publishes its last sequence, so that readers notice a loss."""
 
 REPLIES_WAITING: Final = 256
-"""Replies that may wait to be sent; beyond it the newest are dropped and counted."""
+"""Queued replies; beyond it the newest are dropped and counted."""
 
 BLOCK_MAX_US: Final = 20_000
 """A link that accepts nothing is closed after this time.
 
-A reply has its query's congestion control, which may be to wait for room on the link, and Zenoh would wait for
-5 s. Everything else on that link would wait too, the loop's own samples included.
+A reply has its query's congestion control, which may block, and Zenoh would block for 5 s. Everything else on that
+link would wait too, the loop's own samples included.
 """
 
 RECEIVES_BYTES: Final = 1 << 20
-"""The largest message that a robot receives; Zenoh drops a larger one while it arrives. Its own bound is 1 GiB.
+"""The largest message that a robot receives; Zenoh drops larger ones. Its own bound is 1 GiB.
 
-What a robot receives are requests of up to 1 KiB, questions, and what nodes tell each other of the network.
+A robot receives requests of up to 1 KiB, queries, and Zenoh's own protocol messages.
 """
 
 ROBOT_VALUES: Final[dict[str, Json]] = {
     "transport/link/rx/max_message_size": RECEIVES_BYTES,
-    # A client tries so long to connect when it opens. Without it: 10 s where no answer comes.
+    # Time for a client's first connection. By default it would wait 10 s without an answer.
     CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 2000},
 }
-"""A robot's values of Zenoh's configuration, unless the user's file says others."""
+"""A robot's defaults in Zenoh's configuration; the user's file takes precedence."""
 
 ROBOT_RULES: Final[dict[str, Json]] = {
     "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_MAX_US
 }
 
 LOOK_S: Final = 0.05
-"""The period in which the thread looks for the shutdown while no reply waits."""
+"""Period at which the thread checks for the shutdown while no reply waits."""
 
 REPLY_TIMEOUT_S: Final = 1.0
-"""The wait at shutdown for replies that are under way."""
+"""Wait at shutdown for replies under way."""
 
 TOKEN_TIMEOUT_S: Final = 1.0
-"""The time limit of the query for another gateway of our name."""
+"""Time limit of the query for another gateway of our name."""
 
 INFO_TIMEOUT_S: Final = 1.0
-"""A gateway that lives answers within a few ticks of 10 ms."""
+"""A healthy gateway answers within a few ticks of 10 ms."""
 
 INFO_QUESTIONS: Final = 3
-"""So often it is asked before it counts as none: others may ask it so much that a question is dropped."""
+"""Tries before a namesake counts as absent: among many queries one may be dropped."""
 
 ANSWERS_MAX: Final = 64
-"""Answers that are read to one question."""
+"""Answers that are read to one query."""
 
 QUESTION_BYTES: Final = 16
-"""Random, and attached to each question for a namesake: a gateway in signed mode signs its answer over them."""
+"""Random bytes attached to each query for a namesake: a gateway in signed mode signs its answer over them."""
 
 NEIGHBOUR_TIMEOUT_S: Final = 3.0
-"""A Zenoh node that holds our port is connected within this time, or it is none."""
+"""Time in which a Zenoh node that holds our port must be connected."""
 
 
 class Replier:
-    """Sends replies on a thread of its own: each has its query's congestion control, and may wait for its link.
+    """Sends replies on a separate thread: with its query's congestion control a reply may block.
 
     Attributes:
         drops: replies that were not sent, because too many waited.
@@ -129,20 +127,20 @@ class Replier:
     def send(
         self, query: zenoh.Query, key: str, payloads: list[bytes], encoding: str, attachment: bytes = b""
     ) -> None:
-        """Reply to a query, soon, each payload for itself. Never waits."""
+        """Queue one reply for each payload. Never waits."""
         try:
             self._replies.put_nowait((query, key, payloads, encoding, attachment))
         except Full:
             self.drops += 1
-            log.debug("too many replies wait: one is dropped")
+            log.debug("too many replies are queued: one is dropped")
 
     @property
     def waiting(self) -> int:
-        """Replies that wait to be sent."""
+        """Number of queued replies."""
         return self._replies.qsize()
 
     def close(self) -> None:
-        """Send what waits, for a while, and end."""
+        """Send the queued replies, within the time limit, and end."""
         self._ends.set()
         self._thread.join(REPLY_TIMEOUT_S)
 
@@ -159,11 +157,11 @@ class Replier:
                     for payload in payloads:
                         query.reply(key, payload, encoding=encoding, attachment=attachment or None)
             except zenoh.ZError as error:
-                log.debug("Zenoh did not take a reply: %s", error)
+                log.debug("Zenoh did not accept a reply: %s", error)
 
 
 class _Kept:
-    """The samples of a subject that are kept, and the queries for them."""
+    """Stored samples of a subject, and the queries for them."""
 
     def __init__(self, session: zenoh.Session, key: str, subject: Subject) -> None:
         self.key = key
@@ -173,16 +171,16 @@ class _Kept:
 
 
 def _first(query: zenoh.Query) -> int:
-    """The sequence from which on samples are asked for; -1 if the query does not say."""
+    """Return the sequence of the first sample queried for; -1 if the query names none."""
     text = query.parameters.get(KEPT_FIRST) or ""
-    return int(text) if text.isascii() and text.isdigit() and len(text) <= LONGEST_SEQUENCE else -1
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= SEQUENCE_MAX_DIGITS else -1
 
 
 class ZenohNode:
-    """A gateway's place on Zenoh. Nothing here raises or blocks once it is open.
+    """A gateway's Zenoh node. Nothing raises or blocks once it is open.
 
     Attributes:
-        warning: a fact about its start that a person should know; empty if there is none.
+        warning: about its start, for people; may be empty.
     """
 
     def __init__(
@@ -192,7 +190,7 @@ class ZenohNode:
         signer: RobotSigner | None = None,
         name_proof: NameProof | None = None,
     ) -> None:
-        """Declare everything on a session, which the node then owns; without a signer nothing is signed."""
+        """Declare everything on a session, which the node then owns. Without a signer nothing is signed."""
         robot = settings.robot
         self._signer = signer
         self._name_proof = name_proof
@@ -226,7 +224,7 @@ class ZenohNode:
         self._declared.append(token)
 
     def publish(self, sample: Sample) -> None:
-        """Hand a sample to Zenoh. It goes out, or is dropped and counted by the link; this never waits."""
+        """Publish a sample without waiting. A congested link drops and counts it."""
         kept = self._kept.get(sample.subject)
         if kept is not None:
             kept.samples.add(sample.payload)
@@ -239,7 +237,7 @@ class ZenohNode:
             self._fail(error)
 
     def resume(self, kept: Mapping[str, KeptSamples], recent: Iterable[Sample]) -> None:
-        """Begin with what was kept before there was a session, and what a late joiner can still get."""
+        """Take over the samples stored before there was a session, and publish recent ones for late joiners."""
         for name, samples in kept.items():
             self._kept[name].samples = samples
         for sample in recent:
@@ -249,25 +247,25 @@ class ZenohNode:
                 self._fail(error)
 
     def notes(self) -> tuple[str, ...]:
-        """Nothing: it is on the network."""
+        """Return nothing: the node is on the network."""
         return ()
 
     def peers(self) -> int:
-        """Nodes connected directly, but for our own."""
+        """Count the directly connected nodes, without our own."""
         info = self._session.info
         return sum(str(node) not in self._own for node in (*info.peers_zid(), *info.routers_zid()))
 
     def outside(self) -> tuple[str, ...]:
-        """The other ends of connections that leave this machine."""
+        """Return the remote ends of connections that leave this computer."""
         ends = (str(link.dst) for link in self._session.info.links())
         return tuple(sorted(end for end in ends if not is_loopback(end)))
 
     def disregard(self, node: str) -> None:
-        """This node is one of our own: who is connected is everybody else."""
+        """Leave a node of our own out of ``peers``."""
         self._own.add(node)
 
     def answer(self, reply: Callable[[], bytes]) -> None:
-        """Answer the queries that wait on ``gateway/info``, and on what is kept: a bounded number of each."""
+        """Answer queued queries on ``gateway/info`` and on stored samples, a bounded number of each."""
         for _ in range(QUERIES_PER_TICK):
             query = self._queries.try_recv()
             if query is None:
@@ -292,14 +290,14 @@ class ZenohNode:
         close_session(self._session)
 
     def _proof_of_name(self, query: zenoh.Query, payload: bytes) -> bytes:
-        """The attachment for who asks whether this name is taken; empty for all others."""
+        """Return the attachment that proves our name to a starting gateway; empty for other queries."""
         question = query.attachment
         if self._name_proof is None or question is None or len(question) != QUESTION_BYTES:
             return b""
         return self._name_proof.attachment(payload, question.to_bytes())
 
     def _publish_signed(self, signer: RobotSigner, sample: Sample) -> None:
-        """States with their proof; all else as it is."""
+        """Publish states with their signature, other samples unsigned."""
         key = self._signed_keys.get(sample.subject)
         if key is None:
             self._puts[sample.subject](sample.payload)
@@ -309,15 +307,15 @@ class ZenohNode:
 
     def _fail(self, error: zenoh.ZError) -> None:
         self.failures += 1
-        log.debug("Zenoh did not take a sample: %s", error)
+        log.debug("Zenoh did not accept a sample: %s", error)
 
 
 class ZenohPlace(msgspec.Struct, frozen=True):
     """The endpoints of a gateway on Zenoh.
 
     Attributes:
-        listen: endpoints that its session for telemetry listens on; empty if it only dials out.
-        is_client: its sessions are clients, which listen on nothing.
+        listen: endpoints of its telemetry session; empty if it only dials out.
+        is_client: its sessions are clients, which do not listen.
     """
 
     node: str
@@ -328,7 +326,7 @@ class ZenohPlace(msgspec.Struct, frozen=True):
 
     @property
     def outside(self) -> list[str]:
-        """Endpoints by which another machine may reach it."""
+        """Endpoints that involve other computers."""
         return [one for one in (*self.listen, *self.command_listen, *self.connect) if not is_loopback(one)]
 
     def __str__(self) -> str:
@@ -343,7 +341,7 @@ class ZenohPlace(msgspec.Struct, frozen=True):
 def open_node(
     settings: Settings, signer: RobotSigner | None = None, name_proof: NameProof | None = None
 ) -> tuple[ZenohNode, ZenohPlace]:
-    """Open the gateway's node, without signer and proof where nothing is signed. Returns it and where it is."""
+    """Open the gateway's node. Returns it and its endpoints; without signer and proof nothing is signed."""
     session, place = _open_session(settings)
     try:
         _wait_for_link(session, place)
@@ -357,23 +355,23 @@ def open_node(
 
 
 def client_place(settings: Settings) -> ZenohPlace:
-    """Return where a gateway will be that is a client, before it has a session."""
+    """Return the endpoints of a gateway that is a client, before it has a session."""
     return ZenohPlace("", client_endpoints(settings.zenoh), is_client=True)
 
 
 def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
-    """Wait for a neighbour: without one nobody can be asked whether our name is free."""
+    """Wait for a neighbour, which is needed to check that our name is free."""
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while place.connect and not links_of(session) and time.monotonic() < deadline_s:
         time.sleep(0.02)
 
 
 def _check_name_is_free(session: zenoh.Session, settings: Settings, name_proof: NameProof | None) -> str:
-    """Two gateways of one name would publish two robots as one that is in two places.
+    """Refuse to start if another gateway has our name: the two robots would appear as one.
 
-    The token of a gateway that has just died goes within the lease, so it is looked for more than once. A token
-    alone keeps no robot from starting, for anybody can declare one: a gateway has to answer too, and in signed
-    mode prove that the name was granted to it. Returns a warning if no such gateway stands behind a token.
+    The token of a gateway that has just died disappears within the lease, so it is looked for more than once. A
+    token alone keeps no robot from starting, because any client can declare one: a gateway must also answer, and
+    in signed mode prove that the name was granted to it. Returns a warning if no such gateway has the token.
     """
     robot = settings.robot
     key = keys.liveliness(robot.root, robot.name)
@@ -389,23 +387,23 @@ def _check_name_is_free(session: zenoh.Session, settings: Settings, name_proof: 
             is_answered = is_answered or bool(answers)
             if any(_is_namesake(answer, question, settings, name_proof) for answer in answers):
                 raise CommandError(
-                    f"a gateway of the name {robot.name} is connected already; choose another with --robot",
+                    f"a gateway named {robot.name} is already connected; choose another name with --robot",
                     ExitCode.REFUSED,
                 )
         who = (
-            "and what answers there does not prove that it was granted this name: somebody who wants"
+            "its owner does not prove that it was granted this name: this may be an attempt"
             if is_answered
-            else "and no gateway answers there: a gateway that hangs, or somebody who wants"
+            else "no gateway answers: it may be a gateway that hangs, or an attempt"
         )
         return (
-            f"somebody else has declared the liveliness token of {robot.name}, {who} to keep this robot off the "
-            "network"
+            f"another node has declared the liveliness token of {robot.name}, but {who} to keep this robot off "
+            "the network"
         )
     return ""
 
 
 def _ask_for_info(session: zenoh.Session, settings: Settings, question: bytes) -> list[zenoh.Sample]:
-    """Return the answers of all who answer for the robot's name, so that nobody's displaces another's."""
+    """Return all answers for the robot's name, without consolidation, so that none displaces another."""
     replies = session.get(
         keys.build(settings.robot.root, settings.robot.name, BY_NAME["gateway/info"]),
         attachment=question,
@@ -418,7 +416,7 @@ def _ask_for_info(session: zenoh.Session, settings: Settings, question: bytes) -
 
 
 def _is_namesake(answer: zenoh.Sample, question: bytes, settings: Settings, name_proof: NameProof | None) -> bool:
-    """Return True if the answer counts as that of a gateway of this name. In open mode anybody's does."""
+    """Return True if a gateway of this name gave the answer. In open mode every answer counts."""
     if settings.authority.mode != "signed":
         return True
     attachment = answer.attachment
@@ -445,8 +443,8 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
     given = settings.zenoh
     if not is_allowed(given, DEFAULT_ENDPOINT):
         raise CommandError(
-            f"{DEFAULT_ENDPOINT}, where a gateway listens unless told otherwise, is of a protocol that "
-            f"{plain(given.config)} does not allow; say --listen or --connect",
+            f"{plain(given.config)} does not allow the protocol of the default endpoint {DEFAULT_ENDPOINT}; "
+            "give --listen or --connect",
             ExitCode.USAGE,
         )
     commands = _command_listen(settings, [DEFAULT_ENDPOINT])
@@ -463,27 +461,27 @@ def _open_default(settings: Settings) -> tuple[zenoh.Session, ZenohPlace]:
 
 
 def _command_listen(settings: Settings, listen: list[str]) -> list[str]:
-    """Return the endpoints of the session for commands: the settings', or telemetry's one port on."""
+    """Return the endpoints of the command session: those of the settings, or telemetry's port plus one."""
     if settings.gateway.listen_only:
         return []
     try:
         return list(settings.zenoh.command_listen) or next_ports(listen)
     except ValueError as error:
         raise CommandError(
-            f"wrong Zenoh settings: to listen on: {error}; for commands it is one port on, unless "
-            "zenoh.command_listen says where",
+            f"wrong Zenoh settings: to listen on: {error}; commands use the next port, unless "
+            "zenoh.command_listen names another endpoint",
             ExitCode.USAGE,
         ) from error
 
 
 def _open(settings: Settings, connect: list[str], listen: list[str]) -> zenoh.Session:
-    # By the interface of a link, Zenoh leaves out some of what this session publishes.
+    # Zenoh drops part of what this session publishes, by the interface of each link.
     egress = zenoh_rules(settings.zenoh.profiles, settings.robot.root, settings.robot.name)
     return open_session(settings.zenoh, connect, listen, own=ROBOT_VALUES, changes=ROBOT_RULES | egress)
 
 
 def _join_neighbour(settings: Settings, listen: list[str]) -> zenoh.Session:
-    """Another Zenoh node holds our port: several robots on one bench. Connect to it."""
+    """Connect to the Zenoh node that holds our port, as with several robots on one bench."""
     session = _open(settings, [DEFAULT_ENDPOINT], listen)
     deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
     while time.monotonic() < deadline_s:
@@ -492,7 +490,7 @@ def _join_neighbour(settings: Settings, listen: list[str]) -> zenoh.Session:
         time.sleep(0.02)
     close_session(session)
     raise CommandError(
-        f"{DEFAULT_ENDPOINT} is taken, and not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE
+        f"{DEFAULT_ENDPOINT} is taken, but not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE
     )
 
 

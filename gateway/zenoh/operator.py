@@ -1,7 +1,7 @@
-"""Zenoh for operators: commands to robots, statements of their authorities, and what their arbiters say.
+"""Zenoh for operators: commands to robots, statements of their authorities, and the states of their arbiters.
 
-A subscriber that is slow starves whatever else is on its session, so commands share theirs with no subscriber. No
-Python of ours runs on Zenoh's threads: replies and samples wait until they are asked for.
+A slow subscriber starves everything else on its session, so the command session has no subscribers. No Python of
+ours runs on Zenoh's threads: replies and samples wait until they are read.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from schemas.zenoh_session import close_session, join
 log = logging.getLogger(__name__)
 
 STATES_WAITING: Final = 64
-"""Safety states, 20 Hz and on change, that may wait; beyond it the oldest go."""
+"""Queued safety states, 20 Hz and on change; beyond it the oldest are dropped."""
 
 EVENTS_WAITING: Final = 4096
 
 
 class Prover(Protocol):
-    """Proves an operator's commands, and knows whose a reply is."""
+    """Signs an operator's commands, and verifies replies."""
 
     def attach(self, verb: str, payload: bytes) -> bytes:
-        """The attachment of a command; empty if there is none."""
+        """Return the attachment of a command; may be empty."""
 
     def is_reply(self, received: Received, request: bytes) -> bool:
         """Return True if it is the asked robot's reply to the request that had this attachment."""
@@ -44,7 +44,7 @@ Owner = TypeVar("Owner", bound=SessionOwner)
 
 
 def _opened(settings: Settings, make: Callable[[zenoh.Session], Owner]) -> Owner:
-    """Make the owner of a session to where the settings say."""
+    """Open a session by the settings, and make its owner."""
     session = join(settings.zenoh)
     try:
         return make(session)
@@ -54,10 +54,10 @@ def _opened(settings: Settings, make: Callable[[zenoh.Session], Owner]) -> Owner
 
 
 class CommandPort(SessionOwner):
-    """Sends the commands of an operator to one robot, or stops to several by a pattern. Owns its session."""
+    """Sends an operator's commands to one robot, or stops to several by a pattern. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str, operator: str) -> None:
-        """Use a session that nothing else uses. Raises ValueError: a part of the keys is not of its form."""
+        """Take a session of its own. Raises ValueError: a part of the keys is invalid."""
         super().__init__(session)
         self.operator = operator
         self.prover: Prover | None = None
@@ -69,36 +69,36 @@ class CommandPort(SessionOwner):
             "congestion_control": zenoh.CongestionControl.DROP,
             "express": COMMAND_QOS.express,
         }
-        # A reply is as express as its question, and then has a batch of its own: most of a fleet's were dropped.
+        # A reply to an express query is not batched, and most of a fleet's were dropped.
         self._asking_qos = self._qos | {"express": COMMAND_QOS.express and "*" not in robot}
-        # Its stub says that the matching status is a bool; it is an object, and always true.
+        # The stub declares the matching status as a bool; it is an object, and always true.
         self._querier: Any = session.declare_querier(self._keys["acquire"])
 
     @classmethod
     def open(cls, settings: Settings, robot: str, operator: str) -> Self:
-        """Open a session to where the settings say."""
+        """Open a session by the settings."""
         return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator))
 
     def reaches(self) -> bool:
-        """Return True if somebody answers this robot's commands. For a port to all robots Zenoh cannot know."""
+        """Return True if a node answers this robot's commands. Unknown for a port to all robots."""
         return bool(self._querier.matching_status.matching)
 
     def put(self, verb: str, payload: bytes) -> None:
-        """Send without waiting for anything. It goes out or is dropped: this neither blocks nor raises."""
+        """Send a command, or drop it if the link is congested. Neither blocks nor raises."""
         self.put_signed(
             self._keys[verb], verb, payload, b"" if self.prover is None else self.prover.attach(verb, payload)
         )
 
     def put_signed(self, key: str, verb: str, payload: bytes, attachment: bytes) -> None:
-        """Send under a key of one's own, with its proof, and as ``put`` does."""
+        """Send under a given key with a given attachment, as ``put`` does."""
         encoding = BY_VERB[verb].encoding
         try:
             self._session.put(key, payload, encoding=encoding, attachment=attachment or None, **self._qos)
         except zenoh.ZError as error:
-            log.debug("Zenoh did not take %s: %s", verb, error)
+            log.debug("Zenoh did not accept %s: %s", verb, error)
 
     def begin(self, verb: str, payload: bytes, timeout_s: float) -> PendingQuery:
-        """Ask, and come back for the replies later."""
+        """Send a query; poll it for the replies."""
         prover = self.prover
         if prover is None:
             return self.query(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
@@ -107,34 +107,34 @@ class CommandPort(SessionOwner):
         return self.query(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
 
     def show(self, statement: bytes, question: bytes, timeout_s: float) -> list[Received]:
-        """Show a statement of the authority. Returns the replies that came, not verified."""
+        """Show a statement of the authority. Returns the replies, not verified."""
         return self.begin_to_show(statement, question, timeout_s).wait(timeout_s)
 
     def begin_to_show(self, statement: bytes, question: bytes, timeout_s: float) -> PendingQuery:
-        """Show a statement of the authority, with a drawn question, and come back for the replies later."""
+        """Show a statement of the authority, with a random question; poll for the replies."""
         return self.query(self._authority, PendingQuery(), statement, "text/plain", question, timeout_s)
 
     def query(
         self, key: str, question: PendingQuery, payload: bytes, encoding: str, attachment: bytes, timeout_s: float
     ) -> PendingQuery:
-        """Ask under a key of one's own; the replies are the question's."""
+        """Send a query under a given key; the replies go to ``question``."""
         more = {"payload": payload, "encoding": encoding, "attachment": attachment or None, **self._asking_qos}
         return ask_all(self._session, key, question, timeout_s, **more)
 
     def ask(self, verb: str, payload: bytes, timeout_s: float) -> list[Received]:
-        """Ask, and wait for all replies; after the first, others have ``FURTHER_S`` to come."""
+        """Send a query, and return all replies; see ``PendingQuery.wait``."""
         return self.begin(verb, payload, timeout_s).wait(timeout_s)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
-        """Ask for the liveliness tokens of the robots that are connected."""
+        """Query the liveliness tokens of the connected robots."""
         return call_roll(self._session, self._roll, timeout_s)
 
 
 class SafetyListener(SessionOwner):
-    """A listener to a robot's arbiter, its state and its gateway's health. Owns its session."""
+    """Receives a robot's safety state, events, chassis state and gateway health. Owns its session."""
 
     def __init__(self, session: zenoh.Session, root: str, robot: str) -> None:
-        """Subscribe on a session. Raises ValueError: a part of the keys is not of its form."""
+        """Subscribe on a session. Raises ValueError: a part of the keys is invalid."""
         super().__init__(session)
         state, event, chassis, health = (
             keys.build(root, robot, BY_NAME[name])
@@ -155,11 +155,11 @@ class SafetyListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str) -> Self:
-        """Open a session to where the settings say, and listen."""
+        """Open a session by the settings, and listen."""
         return _opened(settings, lambda session: cls(session, settings.robot.root, robot))
 
     def drain(self) -> Iterator[Received | Missed]:
-        """Return the samples that have arrived since the last call; none once it is closed."""
+        """Yield the samples since the last call; none once the session is closed."""
         try:
             for subscriber in self._subscribers:
                 yield from receive(subscriber.try_recv, STATES_WAITING)
@@ -169,30 +169,30 @@ class SafetyListener(SessionOwner):
 
 
 AGAIN_S: Final = 0.02
-"""A robot that many ask leaves some queries unanswered, and these end at once. They are sent again after this."""
+"""Pause before a query is sent again: a robot with many queries leaves some unanswered, which end at once."""
 
 
 class StatementPort(SessionOwner):
-    """The session that sends statements to robots and receives their answers."""
+    """Sends statements to robots and receives their answers."""
 
     def __init__(self, session: zenoh.Session, root: str) -> None:
-        """Use a session, which the port then owns."""
+        """Own a session."""
         super().__init__(session)
         self._root = root
 
     @classmethod
     def open(cls, settings: Settings) -> Self:
-        """Open a session to where the settings say."""
+        """Open a session by the settings."""
         return cls(join(settings.zenoh), settings.robot.root)
 
     def robots(self, timeout_s: float) -> list[str]:
-        """The robots that are connected, by their liveliness tokens."""
+        """Return the connected robots, by their liveliness tokens."""
         replies = call_roll(self._session, keys.liveliness(self._root), timeout_s).wait(timeout_s, timeout_s)
         found = {keys.robot_of_liveliness(self._root, reply.key) for reply in replies}
         return sorted(robot for robot in found if robot is not None)
 
     def show(self, robot: str, text: bytes, question: bytes, timeout_s: float) -> Received | None:
-        """Show a robot a statement, again and again until it answers. Returns its answer; None if none comes."""
+        """Show a robot a statement, repeatedly until it answers. Returns its answer; None after the timeout."""
         deadline_s = time.monotonic() + timeout_s
         while (left_s := deadline_s - time.monotonic()) > 0:
             more = {"payload": text, "attachment": question, "congestion_control": zenoh.CongestionControl.DROP}

@@ -135,7 +135,7 @@ def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_
         running.wait_says("what answers there does not prove that it was granted this name")
         grant = Path(site.robot_settings).with_name("robot.grant")
         grant.write_bytes(grant.read_bytes())
-        running.wait_says("the gateway ends, and is started again with them")
+        running.wait_says("the gateway restarts to load them")
         wait_until(lambda: len([line for line in running.said if "does not prove" in line]) >= 2)
         states = session.declare_subscriber("fleet/cruiser-1/safety/state", zenoh.handlers.RingChannel(1))
         wait_until(lambda: states.try_recv() is not None)

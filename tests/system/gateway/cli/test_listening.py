@@ -181,7 +181,7 @@ def test_where_only_tls_is_allowed_somebody_has_to_say_where(tmp_path: Path) -> 
     file = Network(tmp_path).tls_file("robot")
     done = run(["gateway", "--interface", "virtual", "--zenoh-config", file])
     assert done.returncode == ExitCode.USAGE
-    assert "does not allow; say --listen or --connect" in done.stderr
+    assert "does not allow the protocol of the default endpoint" in done.stderr
 
 
 def test_a_recorder_listens_on_this_machine_alone(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ WRONG: list[tuple[str, ExitCode, str]] = [
     ("demo --out /proc/nowhere", FAILURE, "/proc/nowhere"),
     ("demo --out {here}/none.pem", FAILURE, "cannot write in {here}/none.pem: Not a directory"),
     (f"{DEMO} --robots 0", USAGE, "not a whole number from 1 to 64"),
-    (f"{DEMO} --endpoint tcp/0.0.0.0:0", USAGE, "can be reached from other machines"),
+    (f"{DEMO} --endpoint tcp/0.0.0.0:0", USAGE, "can be reached from other computers"),
     (f"{DEMO} --endpoint here", USAGE, "here"),
     (f"{DEMO} --robots 1 --endpoint tcp/{{taken}}", UNREACHABLE, "{taken}"),
     ("desk --listen 0.0.0.0:0", USAGE, "desk.certificate"),

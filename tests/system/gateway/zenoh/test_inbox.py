@@ -349,7 +349,7 @@ def test_a_gateway_whose_sessions_do_not_meet_says_so(
     monkeypatch.setattr(zenoh_inbox, "OWN_LINK_TIMEOUT_S", 0.1)
     place = ZenohPlace("another", [], [free_endpoint()], [free_endpoint()])
     with closing(open_inbox(Settings(), place)):
-        assert "cannot command this robot, nor stop it" in caplog.text
+        assert "can neither command nor stop this robot" in caplog.text
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)

@@ -283,7 +283,7 @@ def test_a_full_queue_is_no_loss(below: FakeSocket, number: int) -> None:
 
 def test_socketcan_has_one_option() -> None:
     """Another one is a wrong setting, and not ignored."""
-    with pytest.raises(CommandError, match=r"socketcan has fd alone, and not 'loopback'"):
+    with pytest.raises(CommandError, match=r"socketcan has only fd, not 'loopback'"):
         open_bus(CanSettings(interface="socketcan", channel="can0", options={"fd": True, "loopback": False}))
 
 

@@ -332,7 +332,7 @@ SCENES: dict[str, tuple[Step, ...]] = {
     ),
     "a chassis that is switched off under the remote control is waited for half a minute more": (
         (*TAKEN_IN_A_STOP, 2 * GUARD_GIVES_UP_NS / S, "silence all", NEAR_THE_END, seen(ended=False)),
-        (AFTER_THE_END, seen(ended=True, says="not heard any more")),
+        (AFTER_THE_END, seen(ended=True, says="its feedback has ended")),
     ),
     "a gateway that ended the command and goes leaves nothing to wait for": (
         (*FIRST, {"told": AT_REST}, 0.5, REMOTE, SILENCE, 0.5, KILL, 0.01, seen(ended=True, frames=0)),
