@@ -113,7 +113,7 @@ class Aside(Generic[Value]):
             self._write(value)
 
 
-class Note:
+class StateNote:
     """A file of one robot in ``gateway.state_dir``.
 
     Attributes:
@@ -150,7 +150,7 @@ CLEAR_TIMEOUT_S: Final = 1.0
 """Longest wait for a stalled disk when the gateway ends; a note that remains latches again."""
 
 
-class StopNote(Note):
+class StopNote(StateNote):
     """A stop by the guard or by a halt. Every method may block as long as the disk does."""
 
     ENDING = "guard-stop"
@@ -279,7 +279,7 @@ LATCH_NOTE_MAX_BYTES: Final = 65_536
 """A longer file is no note of ours."""
 
 
-class LatchNote(Note):
+class LatchNote(StateNote):
     """The latches in force."""
 
     ENDING = "latched.json"
@@ -335,7 +335,7 @@ class LatchNote(Note):
             write_whole(self.path, msgspec.json.encode(latched))
 
 
-class RunNote(Note):
+class RunNote(StateNote):
     """A file that exists while the gateway runs, so that the next start knows how this run ended."""
 
     ENDING = "running"
@@ -363,7 +363,7 @@ STEP_KM: Final = 0.1
 MILEAGE_NOTE_MAX_BYTES: Final = 256
 
 
-class MileageNote(Note):
+class MileageNote(StateNote):
     """The total mileage, read at the start and updated while driving. A damaged file counts as missing."""
 
     ENDING = "mileage.json"

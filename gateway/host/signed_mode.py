@@ -19,7 +19,7 @@ from gateway.authority.admission import SignedAdmission, StatementSieve
 from gateway.authority.robot_authority import Kept, RobotAuthority, TimeFloor, resume
 from gateway.authority.session import RobotSigner
 from gateway.core import Core
-from gateway.host.notes import Aside, Note, write_whole
+from gateway.host.notes import Aside, StateNote, write_whole
 from gateway.provisioning.key_files import RENEW_S, certificate_ends_s
 from schemas.authority.key_files import AUTHORITY_FILE, GRANT_FILE, directory_of, read_identity, renewed
 from schemas.authority.proof import GrantRole, Signed, read_chain
@@ -35,7 +35,7 @@ CURE: Final = (
 )
 
 
-class AuthorityNote(Note):
+class AuthorityNote(StateNote):
     """Statements of the authority that must outlive a restart.
 
     Attributes:
