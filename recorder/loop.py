@@ -1,7 +1,7 @@
 """The loop of a recorder: samples from Zenoh into ``record.recorder``, its actions out to the disk and to Zenoh.
 
-It never waits for the disk: files are written by ``disk.log_writer`` on a thread of its own. Nor does it let
-samples pile up unseen: when more come than it can record, they wait in the inbox, which is bounded.
+It never waits for the disk: ``disk.log_writer`` writes the files on its own thread. Samples that arrive faster
+than they are recorded wait in the bounded inbox.
 """
 
 from __future__ import annotations
@@ -28,21 +28,16 @@ from schemas.subjects import KEPT_FIRST
 
 log = logging.getLogger(__name__)
 
-PASS_SAMPLES: Final = 1000  # samples between two ticks at most
-PASS_BYTES: Final = 4_000_000  # bytes of samples from the inbox between two ticks at most
-
-INTAKE_SAMPLES: Final = 20_000
-"""Samples moved into the inbox between two ticks at most, when more come than are recorded."""
-
-PASS_NS: Final = 20_000_000
-"""Samples are recorded for so long before what is due is looked for: one may take as long as a thousand others."""
-
-SLICE_SAMPLES: Final = 100  # quick ones between two looks at the clock
+PASS_SAMPLES: Final = 1000  # most samples between two ticks
+PASS_BYTES: Final = 4_000_000  # most bytes of samples from the inbox between two ticks
+INTAKE_SAMPLES: Final = 20_000  # most samples moved into the inbox between two ticks
+PASS_NS: Final = 20_000_000  # longest time for samples between two ticks: one may take as long as a thousand
+SLICE_SAMPLES: Final = 100  # samples on the fast path between two looks at the clock
 TICK_NS: Final = 20_000_000  # pause between two ticks: with a thousand logs each takes its time
 LINK_NS: Final = 200_000_000  # pause between two looks at the link
-IDLE_S: Final = 0.01  # pause when nothing has come in
-LAST_ANSWERS_NS: Final = 500_000_000  # longest wait of the end for robots that have not yet said who they are
-LAST_SAMPLES_NS: Final = 2_000_000_000  # longest time in which the end still records what had already come in
+IDLE_S: Final = 0.01  # pause without samples
+LAST_ANSWERS_NS: Final = 500_000_000  # at the end, longest wait for replies
+LAST_SAMPLES_NS: Final = 2_000_000_000  # at the end, longest time to record samples received before
 
 
 class SampleSource(Protocol):
@@ -54,7 +49,7 @@ class SampleSource(Protocol):
 
     @property
     def query_room(self) -> int:
-        """Queries that may still be asked: the answers to others would be given up for more."""
+        """Number of queries that may still be sent."""
 
     @property
     def is_connected(self) -> bool:
@@ -62,13 +57,13 @@ class SampleSource(Protocol):
 
     @property
     def is_behind(self) -> bool:
-        """True if more had come in than the last ``drain`` gave."""
+        """True if more had come in than the last ``drain`` returned."""
 
     def drain(self, limit: int) -> Sequence[ReceivedSample]:
-        """The samples that have come in, so many at most."""
+        """At most ``limit`` samples that have come in."""
 
     def tokens_gone(self) -> Iterable[str]:
-        """The keys of the gateways' liveliness tokens that are gone since the last call."""
+        """Keys of the gateways' liveliness tokens lost since the last call."""
 
     def ask(self, key: str, parameters: str = "") -> None:
         """Query a key; the replies come with the samples."""
@@ -89,14 +84,10 @@ class Recorded(msgspec.Struct, frozen=True):
 
     Attributes:
         path: the newest log; None if there is none.
-        files: their number, incidents included; ``bytes`` of them all.
-        lost: samples and messages that were lost after their source: the sum of the next five.
-        lost_link: samples that never reached the recorder, by the gaps in their sequence.
-        lost_queue: samples that were dropped unread; ``lost_size`` those that were larger than may be recorded.
-        lost_full: messages that came while the disk might hold no more.
-        lost_disk: messages that the disk did not take or keep.
-        is_hung: the disk did not answer at the end: what it was given last may be lost, too.
-        keys: per topic, what was received, written and lost.
+        files: their number, incidents included; ``bytes`` is their total size.
+        lost: the sum of the next five, each as in ``KeyReport``.
+        is_hung: the disk did not respond at the end: the data written last may be lost, too.
+        keys: the report of each topic.
     """
 
     path: str | None
@@ -149,7 +140,7 @@ class RecorderLoop:
         self._orders = Orders(self._recorder, self._health_now, lambda: keeper is None or keeper.use.has_mark_room)
 
     def run(self, stopped: Callable[[], bool], rolls: Callable[[], bool] = lambda: False) -> Recorded:
-        """Record until stopped, whatever the disk does. A new file begins each time ``rolls()`` is true."""
+        """Record until stopped. A new file begins each time ``rolls()`` is true."""
         try:
             while not stopped():
                 if rolls():
@@ -172,7 +163,7 @@ class RecorderLoop:
         for key in self._source.tokens_gone():
             self._recorder.lose_token(key, now_ns)
         self._apply(self._recorder.tick(now_ns, wall_ns, self._writer.sizes))
-        # While samples wait, questions do, but for one: a recorder that is never idle asks, too.
+        # While samples wait, send one query per tick: a recorder that is never idle must ask, too.
         most = min(self._source.query_room, 1 if self._inbox else QUERIES_PER_TICK)
         self._apply(self._recorder.ask(now_ns, most))
         if self._control is not None:
@@ -183,7 +174,7 @@ class RecorderLoop:
         return busy
 
     def _take_samples(self) -> bool:
-        """True if anything had come in, or was waiting."""
+        """True if any sample had come in, or was waiting."""
         if self._inbox:
             self._take_in()
             self._receive(self._inbox.take(PASS_SAMPLES, PASS_BYTES))
@@ -194,12 +185,12 @@ class RecorderLoop:
         self._receive(left)
         self._put_by(left)
         if is_behind:
-            # More than can be recorded at once: what waits in Zenoh's own ring would be dropped uncounted.
+            # Zenoh's own ring would drop samples uncounted.
             self._take_in()
         return bool(samples)
 
     def _receive(self, samples: Iterator[ReceivedSample]) -> None:
-        """Record samples as long as there is time; the others are left in the iterator."""
+        """Record samples for at most PASS_NS; the others stay in the iterator."""
         end_ns = time.monotonic_ns() + PASS_NS
 
         def is_late() -> bool:
@@ -215,7 +206,7 @@ class RecorderLoop:
         self._put_by(self._source.drain(INTAKE_SAMPLES))
 
     def _put_by(self, samples: Iterable[ReceivedSample]) -> None:
-        """Have samples wait in the inbox, which drops the oldest when they are too many."""
+        """Queue samples in the inbox, and count those it drops."""
         for sample in samples:
             for key, received_ns in self._inbox.put(sample):
                 self._recorder.drop(key, GapReason.QUEUE, time.monotonic_ns(), received_ns)
@@ -255,7 +246,7 @@ class RecorderLoop:
         )
 
     def _watch_link(self) -> None:
-        """Say when the link to Zenoh comes and goes: a silent recorder must not look like a silent robot."""
+        """Log changes of the link to Zenoh: a silent recorder must not look like a silent robot."""
         is_connected = self._source.is_connected
         if is_connected == self._was_connected:
             return
@@ -263,7 +254,7 @@ class RecorderLoop:
             log.info("connected to Zenoh")
         else:
             log.warning(
-                "no Zenoh node is connected%s; trying on", "" if self._was_connected is None else " any more"
+                "no Zenoh node is connected%s; retrying", "" if self._was_connected is None else " any more"
             )
         self._was_connected = is_connected
 
@@ -280,7 +271,7 @@ class RecorderLoop:
             self._step()
             time.sleep(IDLE_S)
         for sample in self._inbox.take(len(self._inbox), self._inbox.bytes):
-            # There was no time for it.
+            # No time was left for it.
             self._recorder.drop(sample.key, GapReason.QUEUE, time.monotonic_ns(), sample.received_ns)
         self._apply(self._recorder.close(time.monotonic_ns(), time.time_ns()))
 
@@ -306,7 +297,7 @@ class RecorderLoop:
         counts = self._recorder.counts
         all_keys = total(counts.values())
         lost_link, lost_queue, lost_size = all_keys.lost_link, all_keys.lost_queue, all_keys.lost_size
-        # The writer knows, too, what was lost when nobody took its notices any more.
+        # The writer also counts losses after its last notice was read.
         lost_full, lost_disk = all_keys.lost_full, self._writer.lost
         return Recorded(
             path=self._writer.path,

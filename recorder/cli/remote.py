@@ -120,7 +120,7 @@ def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callab
             return found
         if time.monotonic() > end_s:
             break
-    raise client.nobody(arguments.recorder or keys.ALL)
+    raise client.no_answer(arguments.recorder or keys.ALL)
 
 
 def _only(found: Replies) -> str:

@@ -1,12 +1,11 @@
-"""The files of a recorder: parts, finished logs, their directory, notes of uploads.
+"""The files of a recorder: parts, finished logs, their directory, the upload note.
 
-A file is ``NAME-START.mcap.part`` while it is written, locked as long as its writer lives and synced beside the
-writing. It is renamed to ``NAME-START.mcap`` when it is whole. Nothing is ever overwritten. An OSError becomes one
-clear CommandError here.
+A file is ``NAME-START.mcap.part`` while it is written, locked by its writer, and synced on another thread. A
+finished file is renamed to ``NAME-START.mcap``. No file is ever overwritten. OSErrors become a CommandError.
 
-The note of uploads names the logs that are safe elsewhere, a line of JSON each: the uploader writes it, retention
-reads it. A line holds for a file of the same length and time of change. Before the recorder deletes a log by such
-a line, it hashes the file itself.
+The upload note lists uploaded logs, one line of JSON each: the uploader writes it, retention reads it. A line is
+valid for a file of the same length and time of change. Before deleting a log by such a line, the recorder hashes
+the file itself.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 import msgspec
 
-from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX, lock, lock_own
 from recorder.layouts.attached import COUNT as LAYOUTS
 from recorder.mcap.writer import NO_LIMIT, McapFile
 from recorder.record.actions import (
@@ -50,12 +49,12 @@ if TYPE_CHECKING:
     from recorder.record.signed_mode import LogSigner
 
 ATTACHMENTS_MAX: Final = (2 + LAYOUTS) * ROBOT_LIMIT
-"""A configuration, a DBC and layouts for each robot; beyond it the oldest go, for a robot may make up names."""
+"""A configuration, a DBC and layouts for each robot; the oldest beyond it are dropped, as names are untrusted."""
 
 
 @contextmanager
 def clear_errors(path: Path) -> Iterator[None]:
-    """Raise one CommandError for whatever the system reports."""
+    """Turn an OSError into a CommandError."""
     try:
         yield
     except OSError as error:
@@ -71,7 +70,7 @@ def sync_directory(path: Path) -> None:
 
 
 def write_signature(log: Path, sha256: str, signer: LogSigner) -> None:
-    """Write the signature of a log beside it, before the log has its name: what has it is signed."""
+    """Write the signature of a log beside it, before the log gets its final name."""
     with log.with_name(log.name + SIGNATURE_SUFFIX).open("wb") as file:
         file.write(signer.sign(sha256, log.name))
         file.flush()
@@ -79,7 +78,7 @@ def write_signature(log: Path, sha256: str, signer: LogSigner) -> None:
 
 
 class Prologue:
-    """The actions that every file of a log begins with, so that each can be read alone."""
+    """The actions at the start of every file of a log, so that each can be read alone."""
 
     def __init__(self) -> None:
         self._channels: dict[int, DeclareChannel] = {}
@@ -87,7 +86,7 @@ class Prologue:
         self._attachments: dict[str, WriteAttachment] = {}
 
     def add(self, action: LogAction) -> None:
-        """Remember an action that is repeated: of metadata and attachments the newest of each name."""
+        """Store a repeated action: the newest of each name of metadata and attachments."""
         if isinstance(action, DeclareChannel):
             self._channels[action.channel.channel_id] = action
         elif isinstance(action, WriteMetadata) and action.lasts:
@@ -99,7 +98,7 @@ class Prologue:
                 del self._attachments[next(iter(self._attachments))]
 
     def copy(self) -> Prologue:
-        """Copy it for a log that begins with the same."""
+        """Copy it for another log."""
         other = Prologue()
         other._channels |= self._channels
         other._metadata |= self._metadata
@@ -107,7 +106,7 @@ class Prologue:
         return other
 
     def write_to(self, file: McapFile) -> None:
-        """Write all of it; the channels, of which there may be thousands, in one write."""
+        """Write all actions; the channels, perhaps thousands, in one write."""
         for action in [*self._metadata.values(), *self._attachments.values()]:
             action.write_to(file)
         file.add_channels([action.channel for action in self._channels.values()])
@@ -133,23 +132,21 @@ class PartFile:
         self._disk = disk
         self._changed = threading.Lock()
         self._sync: Future[None] | None = None
-        """The sync that runs, or waits for a thread; each file has at most one."""
-        self._wants_sync = False
-        """Something was written that the present sync may not cover: another is to follow it."""
+        """The running or queued sync; each file has at most one."""
+        self._wants_sync = False  # another sync must follow the current one
         self._fault: OSError | None = None  # the failure of a sync, until the next write raises it
         self.when_synced: Callable[[], object] = int
-        """Called on another thread after each sync, whatever became of it."""
-        self.has_synced = False  # true if the disk has taken anything of this file
-        self.kept_size = 0  # bytes that the disk has said it keeps
-        self.is_doubtful = False
-        """The disk has failed to keep what it had taken: what is beyond ``kept_size`` may be anything."""
-        self.is_left = False  # it could not be made whole, and holds messages
-        self.unkept_bytes = 0  # memory of the chunks that were written, and that the disk may not keep yet
+        """Called on another thread after each sync, successful or not."""
+        self.has_synced = False  # a sync of this file has succeeded
+        self.kept_size = 0  # bytes synced
+        self.is_doubtful = False  # a sync has failed: the bytes beyond ``kept_size`` are undefined
+        self.is_left = False  # it could not be finished, and holds messages
+        self.unkept_bytes = 0  # memory of the chunks written but not synced
         self._unkept: deque[tuple[int, WriteChunk]] = deque()
         """Those chunks, each with its end in the file: they may have to be written again."""
-        self.kept_counts: Counter[int] = Counter()  # messages of each channel that the disk keeps
+        self.kept_counts: Counter[int] = Counter()  # synced messages of each channel
         self.kept_from_ns, self.kept_to_ns = NO_LIMIT, 0  # their first and last log time
-        self.is_removed = False  # somebody has removed it before it was ended
+        self.is_removed = False  # the file was removed before it was ended
         with clear_errors(part):
             self._mcap = McapFile(stream, library)
 
@@ -164,14 +161,14 @@ class PartFile:
 
     @property
     def is_kept(self) -> bool:
-        """True if there is a file, which ``salvage`` may have found not worth keeping."""
-        with suppress(OSError):  # A disk that is gone may not even say that it has no such file.
+        """True if the file exists: ``salvage`` deletes one without messages."""
+        with suppress(OSError):  # The disk may be gone.
             return self.path.exists()
         return False
 
     @property
     def has_failed(self) -> bool:
-        """True if a sync has failed, which the next write reports."""
+        """True if a sync has failed; the next write raises its error."""
         return self._fault is not None
 
     def begin(self, prologue: Prologue) -> None:
@@ -179,7 +176,7 @@ class PartFile:
             prologue.write_to(self._mcap)
 
     def write(self, action: LogAction) -> None:
-        """Apply an action. A sync runs beside the next write, which reports the sync's failure."""
+        """Apply an action. A sync runs beside the next write, which raises the sync's error."""
         with clear_errors(self.path):
             self._raise_fault()
             if isinstance(action, SyncLog):
@@ -194,7 +191,7 @@ class PartFile:
         self.release()
 
     def release(self) -> None:
-        """Forget the chunks that the disk keeps by now."""
+        """Release the chunks that are synced by now."""
         while self._unkept and self._unkept[0][0] <= self.kept_size:
             _, action = self._unkept.popleft()
             self.unkept_bytes -= action.bytes
@@ -204,7 +201,7 @@ class PartFile:
             self.kept_to_ns = max(self.kept_to_ns, chunk.end_ns)
 
     def sync(self) -> None:
-        """Have the disk keep all that is written so far. Does not wait for it."""
+        """Start a sync of all that is written so far, without waiting for it."""
         with self._changed:
             if self._sync is None:
                 self._sync = self._disk.submit(self._keep)
@@ -212,11 +209,10 @@ class PartFile:
                 self._wants_sync = True
 
     def salvage(self) -> list[WriteChunk]:
-        """End the file as well as can be: leave all that was written, whole if there is room for the end.
+        """End the file: finished if the disk has space for the summary, else as a part.
 
-        A file without a message only repeats what another one holds, and is deleted. Where the disk has failed to
-        keep what it had taken, the file is cut back to what the disk keeps: a part, which the next start makes
-        whole.
+        A file without messages is deleted. After a failed sync the file is cut back to its synced bytes, as a part
+        that the next start recovers. Returns the chunks to write again.
         """
         if not self._stream.closed:
             self._end()
@@ -262,7 +258,7 @@ class PartFile:
             self._find().unlink()
 
     def _find(self) -> Path:
-        """Return the part's path now: its directory may have been moved, and another file be in its place."""
+        """Return the part's current path: its directory may have been moved, or another file put in its place."""
         descriptor = self._stream.fileno()
         state = os.fstat(descriptor)
         link = Path("/proc/self/fd", str(descriptor))
@@ -273,7 +269,7 @@ class PartFile:
             path = link.readlink()
             if path.name == self._part.name and os.path.samestat(path.stat(), state):
                 return path
-        raise FileNotFoundError(0, "somebody has moved the log while it was written")
+        raise FileNotFoundError(0, "the log was moved while it was written")
 
     def _sync_all(self) -> None:
         try:
@@ -285,26 +281,25 @@ class PartFile:
 
     def _look_for_name(self) -> None:
         if os.fstat(self._stream.fileno()).st_nlink == 0:
-            raise FileNotFoundError(0, "somebody has removed the log while it was written")
+            raise FileNotFoundError(0, "the log was removed while it was written")
 
     def _keep(self) -> None:
-        """On another thread: have the disk keep what is written so far."""
+        """On another thread: sync all that is written so far."""
         with self._changed:
-            # What was asked for until here this one covers.
-            self._wants_sync = False
+            self._wants_sync = False  # this sync covers earlier requests
         size = self._mcap.size
         try:
             os.fdatasync(self._stream.fileno())
             self._look_for_name()
         except OSError as error:
-            # The system tells of it once, and forgets what it could not write.
+            # The system reports the failure once, and drops the unwritten data.
             self.is_doubtful = True
             self._fault = error
         else:
             self.kept_size = size
             self.has_synced = True
         with self._changed:
-            # Behind those of other files that wait: it must not take a thread for itself.
+            # Queued behind other files: it must not occupy a thread.
             wants_more = self._wants_sync and not self.is_doubtful
             self._sync = self._disk.submit(self._keep) if wants_more else None
         self.when_synced()
@@ -329,7 +324,7 @@ class PartFile:
         self._wait_for_sync()
         self._mcap.finish()
         self._sync_all()
-        # Renamed while it is locked: an unlocked part is one that somebody may recover.
+        # Renamed while it is locked: an unlocked part may be recovered by another process.
         part = self._find()
         whole = part.with_name(self._whole_path.name)
         if self._signer is not None:
@@ -340,17 +335,13 @@ class PartFile:
         sync_directory(self.path.parent)
 
 
-SYNC_THREADS: Final = 4  # files that are synced at once: a file system syncs several in about the time of one
-
-STEM_MAX: Final = 150
-"""Characters of a log's name before the time: who makes up a robot may call it longer than a disk takes."""
-
-NAMESAKES_MAX: Final = 1000
-"""Files of one name and second that are numbered; any more have the time of the try in their place."""
+SYNC_THREADS: Final = 4  # files synced at once: a file system syncs several in about the time of one
+STEM_MAX: Final = 150  # characters of a log's name before the time
+NAMESAKES_MAX: Final = 1000  # files of one name and second that are numbered; later ones get a time instead
 
 
 class LogDirectory:
-    """The directory of the logs. It is made if it does not exist."""
+    """The directory of the logs, created if missing."""
 
     def __init__(self, path: Path, signer: LogSigner | None = None) -> None:
         self._path = path
@@ -363,10 +354,7 @@ class LogDirectory:
                 raise PermissionError(0, "no permission to write there")
 
     def open(self, name: str, wall_ns: int, library: str, *, is_incident: bool = False) -> PartFile:
-        """Begin a file whose name holds ``name`` and the time.
-
-        A directory that somebody has removed is made again, but not where its disk was unmounted.
-        """
+        """Begin a file named by ``name`` and the time. Recreates a removed directory, but not on another disk."""
         stem = f"{safe_name(name)}-{start_in_name(wall_ns)}{INCIDENT_SUFFIX if is_incident else ''}"
         with clear_errors(self._path):
             self._make_again()
@@ -375,7 +363,7 @@ class LogDirectory:
                 sync_directory(self._path)
                 return PartFile(part, path, stream, library, self._disk, self._signer)
             except (CommandError, OSError):
-                # Not even the header fits: there is nothing to keep.
+                # Not even the header could be written.
                 with suppress(OSError):
                     stream.close()
                 with suppress(OSError):
@@ -387,7 +375,7 @@ class LogDirectory:
 
     def _make_again(self) -> None:
         if self._path.exists() and self._path.stat().st_dev != self._device:
-            raise FileNotFoundError(0, "its disk is not there any more")
+            raise FileNotFoundError(0, "its disk was unmounted")
         parent = self._path.absolute().parent
         if not self._path.exists() and parent.exists() and parent.stat().st_dev == self._device:
             self._path.mkdir()
@@ -399,25 +387,25 @@ class LogDirectory:
                 stream = FileIO(part, "xb")
             except FileExistsError:
                 continue
-            # Another start may take a part without a lock for a leftover; then it is that one's.
+            # Another recorder may have locked the new part as a leftover; then it owns it.
             if not lock_own(stream.fileno()):
                 stream.close()
                 continue
             if not path.exists():
                 return part, path, stream
-            # Its writer has renamed it; the name of the part was free again, that of the whole is not.
+            # The name of the part is free, but that of the finished log is taken.
             part.unlink()
             stream.close()
         raise FileExistsError(0, f"too many files of the name {stem}")
 
 
 def safe_name(text: str) -> str:
-    """The text as the beginning of a file's name on any system; no command takes such a name for an option."""
+    """The text as the beginning of a file name that is valid on any system, and never looks like an option."""
     return re.sub(r"^-|[^A-Za-z0-9._-]+", "_", text.lstrip("."))[:STEM_MAX] or "log"
 
 
 def start_in_name(wall_ns: int) -> str:
-    """A time since 1970 as a file's name has it, in UTC."""
+    """A time since 1970 in the form of file names, in UTC."""
     return datetime.fromtimestamp(wall_ns // 1_000_000_000, UTC).strftime(START_FORMAT)
 
 
@@ -426,12 +414,12 @@ def _namesakes(stem: str) -> Iterator[str]:
     yield stem
     for number in range(2, NAMESAKES_MAX + 1):
         yield f"{stem}-{number}"
-    # However many there are, and whatever the clock says: for want of a name nothing is lost.
+    # Always unique: no log is lost for lack of a name.
     yield f"{stem}-{time.time_ns()}"
 
 
 def free_path(directory: Path, stem: str, suffix: str, but_for: Path | None = None) -> Path:
-    """A path of which no file exists, nor a part that may become one; ``but_for`` is one's own part."""
+    """A free path, where no other part than ``but_for`` would get the same name."""
     for unique in _namesakes(stem):
         path, part = directory / f"{unique}{suffix}", directory / f"{unique}{PART_SUFFIX}"
         if not path.exists() and (part == but_for or not part.exists()):
@@ -439,30 +427,9 @@ def free_path(directory: Path, stem: str, suffix: str, but_for: Path | None = No
     raise FileExistsError(0, f"too many files of the name {stem}")
 
 
-def lock(descriptor: int) -> bool:
-    """Lock a file for this process, until it is closed. False if another one holds it.
-
-    Raises:
-        OSError: this file system has no locks.
-    """
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
-def lock_own(descriptor: int) -> bool:
-    """As ``lock``; True also where this file system has no locks."""
-    try:
-        return lock(descriptor)
-    except OSError:
-        return True  # Without locks here nothing is recovered here either.
-
-
 @contextmanager
 def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
-    """Opens it for writing. Where that ends in an exception nothing is left."""
+    """Open a new file for writing; an exception removes it."""
     part = path.with_name(f"{path.name}.part")
     shown = plain(str(path))
     if path.exists() or part.exists():
@@ -470,7 +437,7 @@ def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
     try:
         with part.open("xb") as stream:
             try:
-                # Or somebody takes it for what a recorder has left.
+                # Else a recorder may take it for a leftover.
                 with suppress(OSError):
                     lock(stream.fileno())
                 yield stream
@@ -487,14 +454,9 @@ def new_file(path: Path) -> Generator[BufferedWriter, None, None]:
 
 
 def give_name(part: Path, path: Path) -> None:
-    """A whole part becomes the file.
-
-    Raises:
-        FileExistsError: somebody else has put one there meanwhile.
-        OSError: the disk does not take it.
-    """
+    """Rename a finished part to its final name; FileExistsError if another process has taken it meanwhile."""
     try:
-        # Unlike a rename, a link does not replace what somebody else has put there meanwhile.
+        # Unlike a rename, a link never replaces a file.
         os.link(part, path)
     except FileExistsError:
         raise
@@ -508,37 +470,28 @@ def give_name(part: Path, path: Path) -> None:
 
 @contextmanager
 def staging(directory: Path) -> Generator[Path, None, None]:
-    """A hidden directory within it, for files until all are whole; what is left in it at the end goes."""
+    """A temporary hidden directory for files until all are finished."""
     with TemporaryDirectory(prefix=".export-", dir=directory, ignore_cleanup_errors=True) as name:
         yield Path(name).absolute()
 
 
 def new_path(directory: Path, name: str, suffix: str, taken: Collection[str] = ()) -> Path:
-    """The path of a new file; where the name is taken already it gets a number.
-
-    Raises:
-        CommandError: it is there.
-    """
+    """The path of a new file, numbered if the name is in ``taken``; CommandError if the file exists."""
     endings = chain([suffix], (f"~{number}{suffix}" for number in count(2)))
     path = next(one for one in (directory / f"{name}{end}" for end in endings) if str(one) not in taken)
     if path.exists():
-        raise CommandError(f"{plain(str(path))} is there already; nothing is overwritten")
+        raise CommandError(f"{plain(str(path))} exists, and is not overwritten")
     return path
 
 
 NAME: Final = ".uploaded.jsonl"
 
-NOTE_BYTES_MAX: Final = 64_000_000  # no more of it is read
-GONE_LINES: Final = 1000  # so many lines of logs that are gone, and the note is written anew without them
+NOTE_BYTES_MAX: Final = 64_000_000  # of the note that are read
+GONE_LINES: Final = 1000  # lines of deleted logs from which the note is rewritten without them
 
 
 class UploadedLog(msgspec.Struct, frozen=True):
-    """A line: a log that is safe elsewhere.
-
-    Attributes:
-        sha256: of its bytes, hexadecimal.
-        url: the store's, and ``object`` its name there.
-    """
+    """A line of the note: an uploaded log, its SHA-256 in hexadecimal, the store's URL and its object there."""
 
     file: str
     bytes: int
@@ -549,13 +502,13 @@ class UploadedLog(msgspec.Struct, frozen=True):
 
 
 SafeLogs = Mapping[str, tuple[int, int, str]]
-"""Length, time of the last change and SHA-256 of each log that is safe elsewhere, by its name."""
+"""Length, time of the last change and SHA-256 of each uploaded log, by name."""
 
 NONE_SAFE: Final[SafeLogs] = MappingProxyType({})
 
 
 class SafeLogReader:
-    """Reads the note, where it has changed since the last time."""
+    """Reads the note again when it has changed."""
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / NAME
@@ -580,7 +533,7 @@ class SafeLogReader:
 def _lines(data: bytes) -> list[UploadedLog]:
     found = []
     for line in data.splitlines():
-        # The last one may be torn, and whatever else is there is none of ours.
+        # The last line may be torn; ignore anything else.
         try:
             found.append(msgspec.json.decode(line, type=UploadedLog))
         except (msgspec.MsgspecError, UnicodeDecodeError):
@@ -589,7 +542,7 @@ def _lines(data: bytes) -> list[UploadedLog]:
 
 
 class UploadNote:
-    """The note, held by the one that uploads from this directory."""
+    """The note, locked by the process that uploads from this directory."""
 
     def __init__(self, directory: Path) -> None:
         path = directory / NAME
@@ -623,18 +576,18 @@ class UploadNote:
 
     def add(self, log: UploadedLog) -> None:
         with clear_errors(self._path):
-            # After a line that was torn this one begins anew.
+            # Never continue a torn line.
             self._stream.write(b"\n" * self._is_torn() + msgspec.json.encode(log) + b"\n")
             os.fsync(self._stream.fileno())
 
     def forget(self, there: Collection[str]) -> None:
-        """Forget the logs that are gone, if they are many. What is torn then is uploaded once more."""
+        """Remove the lines of deleted logs, if they are many. A torn note only means another upload."""
         with clear_errors(self._path):
             lines = _lines(self._read())
             kept = {one.file: one for one in lines if one.file in there}
             if len(lines) - len(kept) < GONE_LINES:
                 return
-            # In place: who uploads may be let write this one file, and make none beside it.
+            # In place: the uploader may have write access to this file only.
             os.ftruncate(self._stream.fileno(), 0)
             self._stream.write(b"".join(msgspec.json.encode(one) + b"\n" for one in kept.values()))
             os.fsync(self._stream.fileno())

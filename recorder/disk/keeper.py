@@ -1,9 +1,9 @@
-"""The directory in order: deletes what ``retention`` says, once a second, and finishes what a crash left behind.
+"""Keeps the log directory in order: applies ``retention`` once a second, and recovers files after a crash.
 
-Nothing of value is deleted. Only what a killed writer leaves behind the last whole record is cut off: the
-beginning of one last write, or zeros. Other bytes behind the good data are moved to ``NAME.mcap.rest``. A file
-that is damaged before its end is not changed: what is good in it is copied into ``NAME.mcap``, and it becomes
-``NAME.mcap.damaged``, as does a part of which nothing can be read.
+Recovery deletes nothing of value. It cuts off only what a killed writer leaves behind the last whole record: the
+beginning of a write, or zeros. Other bytes behind the good data are moved to ``NAME.mcap.rest``. The good data of
+a file that is damaged before its end is copied into ``NAME.mcap``, and the file itself becomes
+``NAME.mcap.damaged``, as does an unreadable part.
 """
 
 from __future__ import annotations
@@ -30,11 +30,10 @@ from recorder.disk.files import (
     SafeLogReader,
     SafeLogs,
     free_path,
-    lock,
     sync_directory,
     write_signature,
 )
-from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX
+from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SIGNATURE_SUFFIX, SUFFIX, lock
 from recorder.mcap.recovery import FileSurvey, copy_good, survey
 from recorder.record.actions import Deleted, DiskBack, DiskRoom, Moved, Notice, Recovered
 from recorder.record.retention import DiskLimits, LogEntry, judge
@@ -48,7 +47,7 @@ log = logging.getLogger(__name__)
 
 REST_SUFFIX: Final = ".mcap.rest"
 DAMAGED_SUFFIX: Final = ".mcap.damaged"
-COPY_SUFFIX: Final = ".mcap.copy"  # a copy that is not finished; the next try begins it anew
+COPY_SUFFIX: Final = ".mcap.copy"  # an unfinished copy, which the next try overwrites
 
 _SUFFIXES: Final = (PART_SUFFIX, DAMAGED_SUFFIX, REST_SUFFIX, SUFFIX)
 
@@ -68,8 +67,8 @@ class Recovery(msgspec.Struct, frozen=True):
     """The recovery of a file.
 
     Attributes:
-        kept: the file of the parts that are not in the result; None if none is worth keeping.
-        faults: damage; ``fault_count`` of them, the first ones listed.
+        kept: the file with the bytes that are not in the result; None if there is none.
+        faults: the first of ``fault_count`` damages.
     """
 
     path: str
@@ -84,15 +83,11 @@ class Recovery(msgspec.Struct, frozen=True):
     detail: str = ""
 
 
-NO_LOCKS: Final = "this disk does not tell whether a recorder writes it; copy it to one that has locks"
+NO_LOCKS: Final = "cannot check whether a recorder is writing it; copy it to a disk with file locks"
 
 
 def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSigner | None = None) -> Recovery:
-    """Make a log whole.
-
-    Args:
-        set_aside: rename a file of which nothing can be read, so that nobody tries it again.
-    """
+    """Make a log whole. ``set_aside`` renames an unreadable file, so that it is not tried again."""
     name = str(path)
     try:
         with path.open("r+b") as stream:
@@ -102,7 +97,7 @@ def recover(path: Path, library: str, *, set_aside: bool = False, signer: LogSig
                 return Recovery(name, RecoveryOutcome.FAILED, name, detail=f"{error.strerror}: {NO_LOCKS}")
             if not is_free:
                 return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder is writing it")
-            # Its writer may have renamed it before the lock was ours.
+            # Its writer may have renamed it before we got the lock.
             if not os.path.samestat(path.stat(), os.fstat(stream.fileno())):
                 return Recovery(name, RecoveryOutcome.BUSY, name, detail="a recorder has just written it")
             return _recover(path, stream, library, signer, set_aside=set_aside)
@@ -124,7 +119,7 @@ def _recover(path: Path, stream: BinaryIO, library: str, signer: LogSigner | Non
     if not found.is_whole:
         if not found.is_torn:
             kept_rest = _keep_rest(path, stream, found.end)
-        _finish(stream, found)
+        _end_with(stream.fileno(), found.end, found.ending)
     os.fsync(stream.fileno())
     result = _rename(path, SUFFIX, signer=signer) if path.name.endswith(PART_SUFFIX) else path
     whole_now = RecoveryOutcome.DAMAGED if kept_rest else RecoveryOutcome.RECOVERED
@@ -137,11 +132,6 @@ def _recover(path: Path, stream: BinaryIO, library: str, signer: LogSigner | Non
         cut_bytes=0 if found.is_whole else size - found.end,
         kept=str(kept_rest) if kept_rest else None,
     )
-
-
-def _finish(stream: BinaryIO, found: FileSurvey) -> None:
-    """Cut back to the good data and end the file, or not, if there is no room."""
-    _end_with(stream.fileno(), found.end, found.ending)
 
 
 def _end_with(file: int, end: int, data: bytes) -> None:
@@ -203,13 +193,13 @@ def _copy(
 
 
 def _check_room(directory: Path, size: int) -> None:
-    """Check that a file fits beside the others: one that fills the disk in vain would cost logs that are whole."""
+    """Check that a file fits: filling the disk in vain would cost finished logs."""
     if shutil.disk_usage(directory).free < size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _rename(path: Path, suffix: str, beside: Path | None = None, signer: LogSigner | None = None) -> Path:
-    """Give a file another suffix, and a number where the name is taken; before it has it, it is signed."""
+    """Give a file another suffix, and a number if the name is taken. Signs it first, if there is a signer."""
     target = free_path(path.parent, _stem(path), suffix, but_for=beside or path)
     if signer is not None:
         with path.open("rb") as stream:
@@ -227,7 +217,7 @@ def _stem(path: Path) -> str:
 
 
 def recover_leftovers(parts: Iterable[Path], library: str, signer: LogSigner | None = None) -> Iterator[Recovery]:
-    """Recover each part that nobody writes any more, and say so in the log."""
+    """Recover and report each part that no recorder is writing."""
     for path in parts:
         recovery = recover(path, library, set_aside=True, signer=signer)
         if recovery.outcome is not RecoveryOutcome.BUSY:
@@ -241,21 +231,20 @@ def _tell(recovery: Recovery) -> None:
         log.info("recovered %d messages of %s into %s", recovery.messages, path, result)
     elif recovery.outcome is RecoveryOutcome.DAMAGED:
         log.warning(
-            "recovered %d messages of %s, which is damaged, into %s; the rest is kept in %s",
+            "recovered %d messages of %s, which is damaged, into %s; the rest is in %s",
             recovery.messages,
             path,
             result,
             plain(recovery.kept or ""),
         )
     else:
-        log.warning("cannot recover %s: %s; it is kept as %s", path, recovery.detail or "no message", result)
+        log.warning("cannot recover %s: %s; the file is now %s", path, recovery.detail or "no message", result)
 
 
 class LeftoverThread:
-    """Recovers what a directory holds while the next recording is already going on: it must not wait for that.
+    """Recovers the leftovers of a directory while the next recording is already running.
 
-    A recovery that is broken off at any instant is begun anew by the next start. One that found no room is tried
-    again when there is some.
+    The next start repeats an interrupted recovery. Without disk space, a recovery is retried when there is some.
     """
 
     def __init__(self, directory: Path, library: str, signer: LogSigner | None = None) -> None:
@@ -264,23 +253,20 @@ class LeftoverThread:
         self._directory = directory
         self._library = library
         self._signer = signer
-        self._has_failed = False  # the last look has left a part as it was
-        self._is_wanted = False  # a look is to begin as soon as the present one ends
-        # What is there now: a part that is begun later is none of them.
+        self._has_failed = False  # the last look could not recover a part
+        self._is_wanted = False  # another look begins when the current one ends
+        # Only parts that exist now: those begun later are not leftovers.
         self._thread = self._begin(sorted(directory.glob(f"*{PART_SUFFIX}")))
 
     def receive_notice(self, notice: Notice) -> None:
-        """Look again when the disk takes the logs again, or has room for what could not be recovered.
-
-        Then what is left is recovered, this recorder's own included; what is being written is locked.
-        """
+        """Look again when the disk works again, or has space for a failed recovery; open files are locked."""
         has_room = isinstance(notice, DiskRoom) and notice.has_room
         if isinstance(notice, DiskBack) or (has_room and self._has_failed):
             self._is_wanted = True
             self._begin_wanted()
 
     def _begin_wanted(self) -> None:
-        # One at a time; the directory is read on the thread, for who calls must not wait for it.
+        # One at a time. The thread reads the directory: the caller must not wait for the disk.
         if self._is_wanted and not self._thread.is_alive():
             self._is_wanted = False
             self._thread = self._begin(self._directory.glob(f"*{PART_SUFFIX}"))
@@ -305,27 +291,25 @@ class LeftoverThread:
             yield self._notices.popleft()
 
     def wait(self, timeout_s: float) -> None:
-        """Give it this long to end by itself."""
+        """Wait for the current look, at most this long."""
         self._thread.join(timeout_s)
 
 
 LOOK_S: Final = 1.0  # pause between two looks at the disk
-RETRY_S: Final = 10.0  # pause before a file that could not be deleted is tried again; others go in its place
-END_S: Final = 2.0  # longest wait of the end for a disk that does not answer
-
+RETRY_S: Final = 10.0  # pause before deleting a file is tried again; meanwhile others are deleted instead
+END_S: Final = 2.0  # at the end, longest wait for a disk that does not respond
 NOTICES_MAX: Final = 10_000
-
-PIECE_BYTES: Final = 1 << 20  # so much of a log is read at once
-FLOOR_MAX_SHARE: Final = 0.1  # no more than this of a file system is kept free, however small it is
+PIECE_BYTES: Final = 1 << 20  # read at once
+FLOOR_MAX_SHARE: Final = 0.1  # greatest share of a file system kept free
 
 _NAME: Final = re.compile(
     r"(?P<robot>[A-Za-z0-9._-]+)-(?P<start>\d{8}T\d{6}Z)(?P<kind>\.[a-z]+)?(-(?P<number>\d+))*(?P<suffix>\.mcap(\.part|\.damaged|\.rest)?)"
 )
-"""The names that a recorder gives; whatever else is in the directory is not ours to delete or to count."""
+"""The names of a recorder's files; other files in the directory are neither deleted nor counted."""
 
 
 class DiskUse(msgspec.Struct, frozen=True):
-    """Use of the disk, in bytes, and whether marks may take more of the budget."""
+    """Use of the disk in bytes, and whether marks may use more of the budget."""
 
     free: int = 0
     used: int = 0
@@ -363,7 +347,7 @@ def read_entries(directory: Path, own: Collection[str] = (), safe: SafeLogs = NO
 
 
 class DiskKeeper:
-    """A thread that looks at the disk from its beginning to ``close``."""
+    """A thread that checks the disk until ``close``."""
 
     def __init__(
         self, directory: Path, limits: DiskLimits, own: Callable[[], Collection[str]] = frozenset
@@ -372,12 +356,11 @@ class DiskKeeper:
         self._limits = limits
         self._own = own
         self._uploaded: SafeLogReader | None = SafeLogReader(directory)
-        """None once a line of it was wrong: whoever wrote that can write others."""
+        """None after a wrong line: then the note is not trusted any more."""
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._room = DiskRoom(has_room=True, has_incident_room=True)
-        self._stuck: dict[str, float] = {}  # names of files that could not be deleted, and when to try again
-        self._place: os.stat_result | None = None
-        """The directory as it was at the last look; None if it was not there."""
+        self._stuck: dict[str, float] = {}  # files that could not be deleted, and when to try again
+        self._place: os.stat_result | None = None  # the directory at the last look, if it existed
         self._closed = threading.Event()
         self.use = DiskUse()
         self._thread = threading.Thread(target=self._run, name="disk keeper", daemon=True)
@@ -388,7 +371,7 @@ class DiskKeeper:
             yield self._notices.popleft()
 
     def close(self) -> None:
-        """End the thread, unless the disk holds it up."""
+        """End the thread, unless the disk does not respond."""
         self._closed.set()
         self._thread.join(END_S)
 
@@ -397,7 +380,7 @@ class DiskKeeper:
             try:
                 self._look()
             except OSError as error:
-                # Whoever writes there says so; there is nothing to delete.
+                # The writer reports it; there is nothing to delete.
                 log.debug("cannot look at %s: %s", self._directory, error)
             if self._closed.wait(LOOK_S):
                 return
@@ -428,7 +411,7 @@ class DiskKeeper:
         judgement = judge(entries, free, limits, is_full=not self._room.has_room)
         for name in judgement.delete:
             if name in marked and not self._is_as_uploaded(name, *safe[name]):
-                return  # The next look judges without the note.
+                return  # The next look ignores the note.
             self._delete(name, sizes[name])
         room = DiskRoom(judgement.has_room, judgement.has_incident_room, judgement.roll)
         if room != self._room or room.roll:
@@ -436,19 +419,19 @@ class DiskKeeper:
             self._notices.append(room)
 
     def _look_for_own(self) -> None:
-        """If the directory was replaced and lacks the open logs, end these where they are and begin new ones."""
+        """If the directory was replaced and lacks the open logs, end these and begin new ones."""
         place, self._place = self._place, _state(self._directory)
         if place is None or _is_same(place, self._place):
             return
         own = self._own()
         if any(not (self._directory / name).exists() for name in own):
             path = plain(str(self._directory))
-            log.warning("somebody has moved or removed %s; the logs go on in a new one", path)
+            log.warning("%s was moved or removed; the logs continue in a new directory", path)
             self._notices.append(Moved(path))
             self._notices.append(msgspec.structs.replace(self._room, roll=True))
 
     def _is_as_uploaded(self, name: str, size: int, modified_ns: int, sha256: str) -> bool:
-        """Read a log, and hold it against its line of the note. After a wrong line none is believed."""
+        """Compare a log with its line of the note. After a wrong line the note is not trusted any more."""
         whole = hashlib.sha256()
         try:
             with (self._directory / name).open("rb") as stream:
@@ -464,7 +447,7 @@ class DiskKeeper:
         else:
             if (status.st_size, status.st_mtime_ns, whole.hexdigest()) == (size, modified_ns, sha256):
                 return True
-        log.warning("%s is not what an upload says of it: until the next start no upload is believed", plain(name))
+        log.warning("%s differs from its upload: uploads are ignored until the next start", plain(name))
         self._uploaded = None
         return False
 
@@ -480,7 +463,7 @@ class DiskKeeper:
             return
         with suppress(OSError):
             (self._directory / f"{name}{SIGNATURE_SUFFIX}").unlink()
-        log.info("deleted %s for want of room", plain(name))
+        log.info("deleted %s to free disk space", plain(name))
         self._notices.append(Deleted(name, size))
 
 
@@ -492,5 +475,5 @@ def _state(directory: Path) -> os.stat_result | None:
 
 
 def _is_same(before: os.stat_result, now: os.stat_result | None) -> bool:
-    """True if it is the directory that it was, or another disk's in its place: what is there may come back."""
+    """True if it is the same directory, or one of another disk: the first one may be mounted again."""
     return now is not None and (before.st_dev != now.st_dev or before.st_ino == now.st_ino)

@@ -1,9 +1,9 @@
-"""The writing thread and its queue: actions on the files of all logs, whatever the disk does meanwhile.
+"""The writing thread and its queue: actions on the files of all logs.
 
-When a write fails, the file is cut back to its last whole chunk and ended, and the next one begins with the chunk
-that failed; or, where the disk fails to keep what it had accepted, with all that it has not kept. That is held
-until then, and when it is too much, writing ends. Unwritten data waits, up to a bound; beyond that the oldest
-messages go, and are reported as lost.
+After a failed write the file is cut back to its last whole chunk and ended, and the next file begins with the
+chunk that failed. After a failed sync it begins with all chunks that were not synced; these stay in memory until
+they are, and writing pauses when they reach a limit. Unwritten data waits in a bounded queue: beyond the bound the
+oldest messages are dropped, and reported as lost.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from schemas.command_line import CommandError
 
 
 class LogQueue:
-    """Actions that wait, the oldest first."""
+    """Waiting actions, the oldest first."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit_bytes = limit_bytes
         self._actions: deque[LogAction] = deque()
-        self.bytes = 0  # memory of what waits
-        self._misfits = 0  # chunks that can never fit, were everything else to go for them
+        self.bytes = 0  # memory of the waiting actions
+        self._misfits = 0  # chunks that can never fit
 
     def __len__(self) -> int:
         return len(self._actions)
@@ -68,10 +68,10 @@ class LogQueue:
         return action
 
     def trim(self, other_bytes: int) -> list[LogAction]:
-        """Drop what is beyond the bound, and return it.
+        """Drop actions beyond the bound, and return them.
 
-        First goes what can never fit. Then the oldest messages; and only when none is left, the metadata of single
-        files. Which files there are, and what lasts, never goes.
+        In order: chunks that can never fit, the oldest messages, metadata of single files. Opening and closing of
+        files, and lasting metadata, are never dropped.
         """
         most = self._limit_bytes - other_bytes
         dropped: list[LogAction] = []
@@ -84,7 +84,7 @@ class LogQueue:
         return dropped
 
     def _is_misfit(self, action: LogAction) -> bool:
-        # Half of the bound may be what the disk has in hand.
+        # Written but unsynced chunks may take half of the bound.
         return action.bytes > self._limit_bytes // 2 and isinstance(action, WriteChunk)
 
     def _count(self, action: LogAction, sign: int) -> None:
@@ -109,55 +109,44 @@ class LogQueue:
 log = logging.getLogger(__name__)
 
 QUEUE_BYTES: Final = 64 * 1024 * 1024
-"""Messages that may wait for the disk, before compression: a minute and more of a saturated bus."""
+"""Messages that may wait for the disk, before compression: over a minute of a saturated bus."""
 
-UNKEPT_SHARE: Final = 0.5
-"""So much of what may wait may have been written already, and not be kept by the disk yet."""
-
+UNKEPT_SHARE: Final = 0.5  # Share of the queue limit that may be written but not yet synced.
 NOTICES_MAX: Final = 10_000
-
-RETRY_MIN_S: Final = 0.2
-"""First pause before a file is begun again after a fault that came at once again; it doubles."""
-
+RETRY_MIN_S: Final = 0.2  # first pause before a file is begun again after a repeated fault; it doubles
 RETRY_MAX_S: Final = 5.0  # the longest pause
-
-FAULT: Final = "fault"
-"""The reason in ``cruiser.continued`` of a file that was begun because another could not be written."""
-
-END_S: Final = 10.0  # longest wait of the end for a disk that makes no progress
+FAULT: Final = "fault"  # the reason in ``cruiser.continued`` of a file begun after another's fault
+END_S: Final = 10.0  # at the end, longest wait for a disk that makes no progress
 
 
 class _Chain:
-    """The files of one log, one after the other."""
+    """The successive files of one log."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.prologue = Prologue()
         self.file: PartFile | None = None
         self.wanted: OpenLog | None = None
-        """The file that is to be written, or to be continued in another one after a fault; None if none is."""
-        self.submitted = self.opened = 0  # files that were asked for, and of those the ones whose turn has come
+        """The file to write, or to continue in another one after a fault."""
+        self.submitted = self.opened = 0  # files requested, and begun
         self.is_incident = False
 
     @property
     def is_begun(self) -> bool:
-        """True if the newest file that was asked for is being written."""
+        """True if the newest requested file is being written."""
         return self.file is not None and self.opened == self.submitted
 
     def beginning_ns(self, first: WriteChunk) -> int:
-        """Time in the name of a file that begins with this chunk, after a fault.
-
-        An incident's is the time of the incident, which its first messages come before.
-        """
+        """Time in the name of a file that begins with this chunk after a fault; an incident keeps its own time."""
         start_ns = first.chunk.start_ns
         return max(start_ns, self.wanted.wall_ns) if self.is_incident and self.wanted is not None else start_ns
 
 
 class LogWriter:
-    """Writes the files of several logs on a thread of its own, from its beginning to ``close``.
+    """Writes the files of several logs on its own thread until ``close``.
 
     Args:
-        queue_bytes: messages that may wait, and be written but not kept yet, of all logs together.
+        queue_bytes: limit of the messages of all logs that wait, or are written but not synced.
     """
 
     def __init__(self, directory: LogDirectory, library: str, queue_bytes: int = QUEUE_BYTES) -> None:
@@ -166,25 +155,24 @@ class LogWriter:
         self._unkept_max = int(UNKEPT_SHARE * queue_bytes)
         self._queue = LogQueue(queue_bytes)
         self._unkept_bytes = 0
-        # Its lock is entered again where the writing thread, which holds it, looks through the files.
+        # Reentrant: the writing thread may hold it when it looks through the files.
         self._changed = threading.Condition()
         self._is_closing = False
         self._chains: dict[str, _Chain] = {}
-        self._failed: deque[str] = deque()  # logs of which a sync has failed
-        self._ending: dict[str, LogAction] = {}
-        """At the end: the logs whose file is to be ended when all is written."""
-        self._progress = 0  # changes with everything that the disk gets on with
+        self._failed: deque[str] = deque()  # logs with a failed sync
+        self._ending: dict[str, LogAction] = {}  # at the end: logs whose file is ended when all is written
+        self._progress = 0  # changes with every progress of the disk
         self._pause_s = 0.0
         self._is_faulty = False
         self._fault: BaseException | None = None
         self._notices: deque[Notice] = deque(maxlen=NOTICES_MAX)
         self._losses: dict[str, Lost] = {}
-        self._left: deque[Path] = deque(maxlen=NOTICES_MAX)  # files with messages that could not be made whole
-        self.path: str | None = None  # the newest file with anything in it
+        self._left: deque[Path] = deque(maxlen=NOTICES_MAX)  # files with messages that could not be finished
+        self.path: str | None = None  # the newest file with messages
         self.files = 0
-        self.bytes = 0  # bytes of the files that are ended; ``files`` of them
-        self.lost = 0  # messages that were received, and that the disk did not take or keep
-        self.is_hung = False  # the disk did not answer at the end: what it was given last may be lost, too
+        self.bytes = 0  # total size of the ended files; ``files`` of them
+        self.lost = 0  # messages that were received and not stored
+        self.is_hung = False  # the disk did not respond at the end: the data written last may be lost, too
         self._thread = threading.Thread(target=self._run, name="log writer", daemon=True)
         self._thread.start()
 
@@ -194,24 +182,21 @@ class LogWriter:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Bytes of the present file of each log, as far as it is begun.
-
-        A log that is not here waits for the disk to begin its file: to end it already would only add to it.
-        """
+        """Size of each log's current file, if the disk has begun it."""
         return {chain.name: file.size for chain, file in self._files() if chain.is_begun}
 
     @property
     def parts(self) -> frozenset[str]:
-        """The names of the files that are being written, as they are now."""
+        """The current names of the open files."""
         return frozenset(file.path.name for _, file in self._files())
 
     @property
     def unfinished(self) -> int:
-        """Files with messages that could not be made whole, nor recovered since. Asks the disk."""
+        """Number of files with messages that were neither finished nor recovered since. Accesses the disk."""
         return sum(path.exists() for path in self._left)
 
     def _files(self) -> list[tuple[_Chain, PartFile]]:
-        """The files that are being written; on any thread."""
+        """The open files; callable on any thread."""
         with self._changed:
             return [(chain, file) for chain in self._chains.values() if (file := chain.file) is not None]
 
@@ -223,7 +208,7 @@ class LogWriter:
             yield self._notices.popleft()
 
     def submit(self, actions: Iterable[LogAction]) -> None:
-        """Have these applied, in order. Never waits for the disk."""
+        """Queue actions, in order. Never waits for the disk."""
         with self._changed:
             if self._fault is not None:
                 raise self._fault
@@ -239,7 +224,7 @@ class LogWriter:
             self._changed.notify()
 
     def close(self) -> None:
-        """Have the disk take what waits, as long as it gets on with it; what it does not take is lost."""
+        """Write the waiting actions while the disk makes progress; the rest is lost."""
         with self._changed:
             self._is_closing = True
             self._changed.notify()
@@ -251,7 +236,7 @@ class LogWriter:
             with self._changed:
                 while self._queue:
                     self._lose(self._queue.take())
-            log.error("the disk does not answer; the logs are not ended")
+            log.error("the disk does not respond; the logs are not finished")
         elif self._fault is not None:
             raise self._fault
 
@@ -260,18 +245,18 @@ class LogWriter:
             self._lose(action)
 
     def _lose(self, action: LogAction) -> None:
-        """Report an action that is not applied as a loss; the lock is held."""
+        """Report a dropped action as a loss; the lock is held."""
         if not isinstance(action, WriteChunk):
             return
         chunk, name = action.chunk, action.log
         if self._chains[name].is_incident:
-            log.error("the disk takes too little: an incident lacks messages")
+            log.error("the disk is too slow: an incident lacks messages")
             return
         if not self.lost:
-            log.error("the disk takes too little: the oldest messages that wait for it are lost")
+            log.error("the disk is too slow: the oldest waiting messages are lost")
         self.lost += sum(chunk.counts.values())
         before = self._losses.get(name, Lost(name, {}, chunk.start_ns, chunk.end_ns))
-        # One for all that is lost of a log until it is asked for: however much that is, none is forgotten.
+        # One notice sums up a log's losses until it is read: bounded memory, and no loss is forgotten.
         self._losses[name] = Lost(
             name,
             dict(Counter(before.counts) + Counter(chunk.counts)),
@@ -298,7 +283,7 @@ class LogWriter:
             self._directory.close()
 
     def _next(self) -> LogAction | None:
-        """The action whose turn it is; None at the end."""
+        """The next action; None at the end."""
         with self._changed:
             while True:
                 if self._failed:
@@ -308,7 +293,7 @@ class LogWriter:
                     self._changed.wait()
                     continue
                 if self._queue and self._is_stuck(self._queue.head):
-                    # It waits in the queue, not in hand: the oldest are the first to go, perhaps all of them.
+                    # It waits in the queue, so that it may be dropped as the oldest.
                     self._pause()
                 if self._queue:
                     return self._queue.take()
@@ -320,7 +305,7 @@ class LogWriter:
         return self._is_faulty and isinstance(action, WriteChunk) and self._chains[action.log].file is None
 
     def _has_room(self) -> bool:
-        """True if more may be written before the disk has kept some. Where it may not, asks for syncs."""
+        """True if more may be written before the next sync. Starts syncs if not."""
         if self._unkept_bytes < self._unkept_max:
             return True
         files = [file for _, file in self._files() if file.unkept_bytes]
@@ -335,7 +320,7 @@ class LogWriter:
         return False
 
     def _note_sync(self, chain: _Chain, file: PartFile) -> None:
-        """On a thread of the syncs: note that the disk has kept something, or failed to."""
+        """On a sync thread: note the end of a sync."""
         with self._changed:
             self._progress += 1
             if file.has_failed:
@@ -343,7 +328,7 @@ class LogWriter:
             self._changed.notify()
 
     def _put_back(self, actions: Iterable[LogAction]) -> None:
-        """Have these wait again, as the oldest."""
+        """Put actions back to the front of the queue."""
         again = []
         with self._changed:
             for action in actions:
@@ -371,7 +356,7 @@ class LogWriter:
         ending = self._ending.pop(chain.name, None)
         again: list[LogAction] = [*self._leave(chain)]
         if again:
-            # What the file before could not keep goes into another one, before this one.
+            # The unsynced chunks of the previous file go into another one, before this one.
             self._put_back([*again, *([ending] if ending is not None else []), action])
             return
         chain.wanted = action
@@ -382,7 +367,7 @@ class LogWriter:
         self._begin(chain, action.wall_ns)
 
     def _write(self, chain: _Chain, action: LogAction) -> CommandError | None:
-        """Apply an action to the present file, if there is one. Returns why the disk does not take it."""
+        """Apply an action to the current file, if there is one. Returns the error, if any."""
         file = chain.file
         if file is None:
             return None
@@ -396,12 +381,12 @@ class LogWriter:
         return None
 
     def _settle(self, chain: _Chain, action: LogAction, error: CommandError | None) -> None:
-        """After an action was applied, or not: have wait again what is to be written again."""
+        """After an action: queue again what has to be written again."""
         file = chain.file
         again: list[LogAction] = []
         is_chunk, is_end = isinstance(action, WriteChunk), isinstance(action, CloseLog)
         if error is not None:
-            log.error("%s; the log goes on in another file", error)
+            log.error("%s; the log continues in another file", error)
             self._enter_fault(str(error))
             again += self._leave(chain)
             if again and not is_chunk:
@@ -418,7 +403,7 @@ class LogWriter:
             chain.wanted = None
 
     def _end_files(self) -> None:
-        """At the end, when all is written: end the files of many logs at once."""
+        """At the end, when all is written: end all files at once."""
         ending, self._ending = self._ending, {}
         with ThreadPoolExecutor(SYNC_THREADS, "log end") as pool:
             errors = list(pool.map(self._end_file, ending.values()))
@@ -438,7 +423,7 @@ class LogWriter:
         return None
 
     def _pause(self) -> None:
-        """Before a file is begun again: at once after the first fault, then ever more seldom."""
+        """Wait before a file is begun again: not after the first fault, then ever longer."""
         end_s = time.monotonic() + self._pause_s
         while not self._is_closing and (left_s := end_s - time.monotonic()) > 0:
             self._changed.wait(left_s)
@@ -446,7 +431,7 @@ class LogWriter:
 
     def _enter_fault(self, detail: str) -> None:
         for _, file in self._files():
-            # What it has kept until now says nothing of what is to come.
+            # Earlier syncs do not show that the fault is over.
             file.has_synced = False
         if not self._is_faulty:
             self._is_faulty = True
@@ -456,15 +441,11 @@ class LogWriter:
         self._pause_s = 0.0
         if self._is_faulty:
             self._is_faulty = False
-            log.warning("the disk takes the logs again; %d messages are lost", self.lost)
+            log.warning("logs can be written again; %d messages were lost", self.lost)
             self._notices.append(DiskBack())
 
     def _begin(self, chain: _Chain, wall_ns: int, because: str = "") -> None:
-        """Begin the file that is wanted, with all that those before it declared, if the disk takes it.
-
-        Args:
-            because: why it continues what another file should have held, if it does.
-        """
+        """Begin the wanted file with the prologue. ``because``: why it continues another file, if it does."""
         wanted = chain.wanted
         if wanted is None:
             return
@@ -475,12 +456,11 @@ class LogWriter:
                 if because:
                     file.write(WriteMetadata(chain.name, CONTINUED_NAME, {"because": because}))
             except CommandError:
-                # Nobody knows of it yet.
                 file.salvage()
                 raise
         except CommandError as error:
             if self._pause_s <= RETRY_MIN_S:
-                log.error("%s; trying on", error)  # noqa: TRY400 - a full disk is no bug
+                log.error("%s; retrying", error)  # noqa: TRY400 - a full disk is no bug
             self._enter_fault(str(error))
             return
         chain.file = file
@@ -489,7 +469,7 @@ class LogWriter:
         self._notices.append(Opened(chain.name, file.name))
 
     def _leave(self, chain: _Chain) -> list[WriteChunk]:
-        """End the present file of a log, as well as can be. Returns what the disk has not kept of it."""
+        """End the current file of a log as far as possible. Returns its unsynced chunks."""
         file, chain.file = chain.file, None
         if file is None:
             return []

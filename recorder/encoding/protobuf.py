@@ -1,13 +1,12 @@
 """Messages as protobuf: descriptors built at run time from the classes, and one compiled encoder for each.
 
-Every message and enumeration is a file of its own, so that the descriptor set of a channel holds what that
-channel needs and nothing else. Field numbers are positions in the class, from 1: a new field goes to the end.
-Numbers are fixed-width: an encoder packs all, flags and enumerations in one ``struct`` call, tags included;
-the other fields follow, one part each. Enumerations keep their order, so what one begins with is protobuf's 0:
-``UNDEFINED``, ``UNKNOWN`` or ``NONE`` wherever there may be nothing to say.
+Every message and enumeration has its own file, so that the descriptor set of a channel holds only what it needs.
+Field numbers are positions in the class, from 1: a new field goes to the end. Numbers are fixed-width: an encoder
+packs all numbers, flags and enumerations in one ``struct`` call, tags included; the other fields follow. The first
+value of an enumeration is protobuf's 0: ``UNDEFINED``, ``UNKNOWN`` or ``NONE`` where there may be no value.
 
-Fields may come in any order in protobuf, and a default may be written or left out, so a reader sees what the
-protobuf package itself would have written.
+Protobuf allows fields in any order, and defaults may be written: readers see the same as from the protobuf
+package.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ FieldType: TypeAlias = FieldDescriptorProto.Type.ValueType
 
 
 def number_type(kind: inspect.IntType) -> FieldType:
-    """The narrowest fixed-width type that holds every number between the bounds."""
+    """The narrowest fixed-width type for the bounds."""
     low = INT32_MIN - 1 if kind.ge is None else kind.ge
     high = UINT32_MAX + 1 if kind.le is None else kind.le
     if low >= 0:
@@ -70,7 +69,7 @@ def fields(kind: type[msgspec.Struct]) -> Iterator[tuple[str, int, inspect.Type]
 
 
 def _plain(kind: inspect.Type) -> inspect.Type:
-    """The type without the descriptions and units that are wrapped around it, at any depth."""
+    """The type without descriptions and units, at any depth."""
     if isinstance(kind, inspect.Metadata):
         return _plain(kind.type)
     if isinstance(kind, inspect.ListType):
@@ -106,7 +105,7 @@ def _enum_prefix(kind: type[Enum]) -> str:
 
 
 class _Files:
-    """The files of the classes seen so far, each after those that it needs."""
+    """The files of the classes added so far, each after its dependencies."""
 
     def __init__(self) -> None:
         self.by_class: dict[type, FileDescriptorProto] = {}
@@ -137,7 +136,7 @@ class _Files:
         field = message.field.add(name=name, number=number, label=_Field.LABEL_OPTIONAL)
         inner = optional_part(kind)
         if inner is not None:
-            # How proto3 says `optional`: a oneof of this field alone.
+            # In proto3 `optional` is a oneof of one field.
             field.proto3_optional = True
             field.oneof_index = len(message.oneof_decl)
             message.oneof_decl.add(name=f"_{name}")
@@ -197,7 +196,7 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
 
 @cache
 def descriptor_set(kind: type[msgspec.Struct]) -> bytes:
-    """The serialised FileDescriptorSet of a logged class: its file, after those that it needs."""
+    """The serialised FileDescriptorSet of a logged class: its file, after its dependencies."""
     by_name = {file.name: file for file in _FILES.values()}
     ordered: dict[str, FileDescriptorProto] = {}
 
@@ -211,7 +210,7 @@ def descriptor_set(kind: type[msgspec.Struct]) -> bytes:
 
 
 def message_class(kind: type[msgspec.Struct]) -> type[ProtobufMessage]:
-    """The protobuf package's class of a logged class, from its descriptor set alone."""
+    """The protobuf package's class of a logged class, from its descriptor set."""
     pool = DescriptorPool()
     for file in FileDescriptorSet.FromString(descriptor_set(kind)).file:
         pool.Add(file)
@@ -231,8 +230,7 @@ _NUMBER_FORMATS: Final[dict[FieldType, tuple[str, int]]] = {
 
 _TAG_FORMATS: Final = {1: "B", 2: "H"}
 
-ENUM_MAX_VALUES: Final = 128
-"""An enumeration's number is written as one byte, which is what its varint is below this."""
+ENUM_MAX_VALUES: Final = 128  # a varint below this is one byte
 
 
 def varint(number: int) -> bytes:
@@ -250,16 +248,16 @@ def compile_encoder(kind: type[msgspec.Struct]) -> Encoder:
 
 
 def compile_row_encoder(kind: type[msgspec.Struct]) -> Callable[..., bytes]:
-    """As ``compile_encoder``, but of the fields' values in order: no message needs to be built for them."""
+    """As ``compile_encoder``, but from the fields' values in order, without a message."""
     return _compile(kind, ", ".join(name for name, _, _ in fields(kind)), "")
 
 
 class Packed(msgspec.Struct, frozen=True):
-    """The fields of a class as source: those of fixed width to be packed in one call, the others in parts.
+    """The fields of a class as source code: fixed-width ones for one packing, the others in parts.
 
     Attributes:
         layout: of the packing, one character for each argument.
-        parts: expressions of the fields that are not packed.
+        parts: expressions of the other fields.
     """
 
     layout: str
@@ -273,10 +271,10 @@ class Packed(msgspec.Struct, frozen=True):
 
 
 def packed_fields(kind: type[msgspec.Struct], at_hand: dict[str, str], prefix: str) -> Packed:
-    """Takes a class apart.
+    """Split a class into its packing and parts.
 
     Args:
-        at_hand: fields that are in a variable already, by name.
+        at_hand: expressions of some fields, by name.
         prefix: of all others, such as ``message.``.
     """
     names: dict[str, Any] = {}
@@ -299,9 +297,9 @@ def packed_fields(kind: type[msgspec.Struct], at_hand: dict[str, str], prefix: s
 
 
 def _compile(kind: type[msgspec.Struct], parameters: str, prefix: str) -> Callable[..., bytes]:
-    """Writes the encoder's one expression and evaluates it: several times faster than a loop over the fields.
+    """Compile the encoder into one expression: several times faster than a loop over the fields.
 
-    It reads, for a class with two numbers, an enumeration and a text::
+    For a class with two numbers, an enumeration and a text::
 
         lambda message: pack(9, message.a, 17, message.b, 24, enum_3[message.c._name_]) + part_4(message.d)
     """
@@ -320,7 +318,7 @@ def _tag(number: int, wire_type: int) -> bytes:
 
 
 def _fixed_format(kind: inspect.Type) -> tuple[str, int] | None:
-    """The struct character and the wire type of a field that always has the same width."""
+    """The struct character and the wire type of a fixed-width field; None for others."""
     if isinstance(kind, inspect.IntType):
         return _NUMBER_FORMATS[number_type(kind)]
     if isinstance(kind, inspect.FloatType):

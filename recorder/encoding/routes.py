@@ -1,12 +1,12 @@
-"""The way of a sample into its channel: how it becomes records, with fast ways for nearly every sample. Pure.
+"""The route of a sample into its channel: how it becomes records, with a fast path for nearly every sample. Pure.
 
-The fast way of a key is one function, compiled for its subject: it decodes the payload, checks that the sequence
-continues, and appends header and fields of the record in one packing. It returns any other case (a gap, a broken
-payload, a message that the session itself reads, a full chunk) untouched, and the session then takes the slow way.
+The fast path of a key is one function, compiled for its subject: it decodes the payload, checks that the sequence
+continues, and appends header and fields of the record in one packing. In any other case (a gap, a broken payload,
+a full chunk) it returns False and changes nothing, and the log takes the slow path.
 
-Of raw frames the fast way is by columns, for the common batch of classic data frames alike in form. Their records
-differ in a few bytes only: one is repeated for all frames of the batch, each column of bytes is written over it at
-once, which costs a tenth of one packing a frame.
+Raw frames have a fast path by columns, for the common batch of classic data frames. Their records differ in a few
+bytes only: one record is repeated for all frames, and each column of bytes is written over it at once, which costs
+a tenth of one packing a frame.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from schemas.messages import CanFrame, CanFrames, GatewayHealth, GatewayInfo, Me
 from schemas.subjects import ALL_SUBJECTS, Pattern, Subject
 
 Adder = Callable[[bytes, int], bool]
-"""Payload and log time of a sample; whether it is in the chunk now. A payload that cannot be decoded raises."""
+"""Takes payload and log time of a sample; returns whether it was added. An undecodable payload raises."""
 
 
-FastPath = tuple[str, Adder]  # the encoding that a sample must have to take it, and its function
+FastPath = tuple[str, Adder]  # the required encoding, and the function
 
 
 class Latest:
@@ -56,9 +56,9 @@ def compile_adder(
 
 @cache
 def _make(kind: type[Message]) -> Make:
-    """Writes the function and compiles it.
+    """Compile the function.
 
-    It reads, for a class with a number and a text besides time and sequence::
+    For a class with a number and a text besides time and sequence::
 
         def add(payload, log_ns):
             message = decode(payload)
@@ -117,14 +117,11 @@ def make(counters, chunk, channel_id, latest):
     return cast("Make", names["make"])
 
 
-DATA_BYTES: Final = 8  # length of the frames that go this way
+DATA_BYTES: Final = 8  # length of the frames on this path
+FRAMES_MAX: Final = 10_000  # of a batch: more than a saturated bus carries in a second; a batch comes every 50 ms
+TEMPLATES_MAX: Final = 4096  # two for each bus name; names are untrusted
 
-FRAMES_MAX: Final = 10_000
-"""Frames of a batch: what a saturated bus carries in a second, and a gateway sends each 50 ms."""
-
-TEMPLATES_MAX: Final = 4096  # two for each name of a bus; anybody may make up names
-
-# Marks that no record holds by chance, to find the places of the columns.
+# Unlikely values, to find the places of the columns.
 _TIME_MARK: Final = 0x1122334455667788
 _IDENTIFIER_MARK: Final = 0x0ABBCCDD
 _DATA_MARK: Final = b"\xa1\xa2\xa3\xa4\xa5\xa6\xa7\xa8"
@@ -134,7 +131,7 @@ _DECODE: Final = msgspec.msgpack.Decoder(CanFrames).decode
 
 
 class _Template(msgspec.Struct, frozen=True):
-    """The data of a message with marks, and where in its record they stand, and the publish time."""
+    """The data of a message with marks, and the marks' offsets in its record."""
 
     data: bytes
     size: int
@@ -163,7 +160,7 @@ def _template(bus: str, *, is_extended: bool) -> _Template:
 
 
 def can_adder(counters: KeyCounters, chunk: ChunkBuilder, channel_id: int) -> Adder:
-    """The function of one key of raw frames; see ``fast_path``."""
+    """The fast path of one key of raw frames."""
     limit_bytes = chunk.limit_bytes
 
     def add(payload: bytes, log_ns: int) -> bool:
@@ -173,7 +170,7 @@ def can_adder(counters: KeyCounters, chunk: ChunkBuilder, channel_id: int) -> Ad
         count = len(batch.can_id)
         if count:
             template = _template(batch.bus, is_extended=batch.can_id[0] & EXTENDED != 0)
-            # Of a batch that is a chunk by itself the slow path makes several.
+            # The slow path splits a batch larger than a chunk.
             if count > FRAMES_MAX or count * template.size > limit_bytes:
                 return False
             _write(batch, template, log_ns, chunk, channel_id)
@@ -202,7 +199,7 @@ def is_common(batch: CanFrames) -> bool:
         return False
     if not count:
         return True
-    # The highest bits are the flags: where the lowest and the highest word have the same, all have.
+    # The highest bits are the flags: if the lowest and the highest word have the same, all have.
     flags = min(words) & ~IDENTIFIER_MASK
     return (
         flags == max(words) & ~IDENTIFIER_MASK
@@ -233,13 +230,12 @@ def _write(batch: CanFrames, template: _Template, log_ns: int, chunk: ChunkBuild
     chunk.index[channel_id].extend(places)
 
 
-FRAMES_MAX_BYTES: Final = 1_000_000
-"""FRAMES_MAX of the longest frames take less: a larger batch is not even decoded."""
+FRAMES_MAX_BYTES: Final = 1_000_000  # a larger batch is not decoded: FRAMES_MAX of the longest frames take less
 
 Record = tuple[int, bytes]  # publish time in nanoseconds, and protobuf bytes
 
 Transcoder = Callable[[Any], Sequence[Record]]
-"""A message to its records: one each, but one per frame of a batch of raw frames."""
+"""A message to its records: one, or one per frame of a batch of raw frames."""
 
 
 class Route:
@@ -247,12 +243,12 @@ class Route:
 
     Attributes:
         subject: the key's row in the subject table; None if it has none.
-        robot: the key's robot, as ``Robots`` calls it; empty if the key is not known.
-        encoding: the Zenoh encoding that a sample must have to be decoded.
-        counts_sequence: whether a gap in ``sequence`` is a loss: replies to others' queries are none.
-        is_state: its newest sample tells all; ``latest`` is that one.
-        is_kept: the gateway keeps its samples for a while; see ``recorder.record.robots``.
-        is_watched: the session looks into its messages, besides recording them.
+        robot: the key's robot, as ``Robots`` names it; empty if the key is unknown.
+        encoding: the Zenoh encoding required to decode a sample.
+        counts_sequence: whether a gap in ``sequence`` is a loss.
+        is_state: only its newest sample matters; ``latest`` is that one.
+        is_kept: the gateway stores its recent samples; see ``recorder.record.robots``.
+        is_watched: the log also evaluates its messages.
     """
 
     __slots__ = (
@@ -294,7 +290,7 @@ class Route:
             self.transcode = _TRANSCODERS[subject.type]
 
     def adder(self, chunk: ChunkBuilder) -> Adder | None:
-        """The fast path into a chunk, if there is one: see ``fast_path``. After the first sample."""
+        """The fast path into a chunk, if there is one; after the first sample."""
         if self.subject is None or self.counters.next is None:
             return None
         if self.subject.type is CanFrames:
@@ -304,7 +300,7 @@ class Route:
         return compile_adder(self.subject.type, self.counters, chunk, self.channel_id, self.latest)
 
     def decode(self, sample: ReceivedSample) -> Message | str:
-        """The sample's message, or why it is kept as it is."""
+        """The sample's message, or why it is recorded as it is."""
         if self.subject is None:
             return "deleted" if sample.deleted else "the key is no known subject"
         if sample.encoding != self.encoding:
@@ -321,14 +317,14 @@ class Route:
         return message
 
     def understand(self, sample: ReceivedSample) -> Understood[Message] | None:
-        """Return a sample of a newer version as far as it is understood; None if it is not at all."""
+        """Decode a sample of a newer version as far as possible; None if it is not at all."""
         if self.subject is None or self.kind is CanFrame or sample.encoding != self.encoding:
             return None
         read = understand(self.subject.type, sample.payload)
         return None if isinstance(read, PayloadFault) else read
 
     def has_unknown_fields(self, sample: ReceivedSample) -> bool:
-        """Report whether a sample that was decoded has fields that its class does not have."""
+        """Report whether a decoded sample has unknown fields."""
         return self.subject is not None and count_fields(sample.payload) > self.field_count
 
 

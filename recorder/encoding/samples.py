@@ -1,6 +1,6 @@
-"""Samples as they are received, untrusted; the counters of a key; and events as ``foxglove.Log``. Pure.
+"""Received samples, untrusted; the counters of a key; and events as ``foxglove.Log``. Pure.
 
-Viewers list those as a log: on ``{key}/log``, beside their typed form. The schema is Foxglove's in protobuf
+Viewers show events on ``{key}/log`` as log lines. The schema is Foxglove's in protobuf
 (https://docs.foxglove.dev/docs/visualization/message-schemas/log): fields and numbers as published there.
 """
 
@@ -20,7 +20,7 @@ from schemas.recording import GapReason, RecorderEvent
 
 
 class ReceivedSample(Protocol):
-    """One sample, or one reply to a query. Key, encoding and payload are at hand, the rest may cost something."""
+    """A sample, or a reply to a query. Key, encoding and payload are cheap to read, the rest may cost time."""
 
     @property
     def key(self) -> str:
@@ -40,7 +40,7 @@ class ReceivedSample(Protocol):
 
     @property
     def is_reply(self) -> bool:
-        """It is a reply to a query of ours, and did not come by itself."""
+        """True of a reply to a query of ours."""
 
     @property
     def attachment(self) -> bytes:
@@ -48,19 +48,19 @@ class ReceivedSample(Protocol):
 
     @property
     def zenoh_time_ns(self) -> int:
-        """The sample's own Zenoh timestamp since 1970; 0 if it has none."""
+        """The sample's Zenoh timestamp since 1970; 0 if it has none."""
 
     @property
     def source(self) -> tuple[str, int] | None:
-        """The publisher's identifier and its sequence number on the key; None if the sample has none."""
+        """The publisher's identifier and its sequence number on the key; None if there is none."""
 
     @property
     def deleted(self) -> bool:
-        """The sample says that the key was deleted, and carries nothing else."""
+        """True if the sample deletes the key, and carries nothing else."""
 
 
 class WaitingSample(msgspec.Struct, frozen=True, gc=False):
-    """A copy of a sample, to wait for long: one that Zenoh gave holds its whole receive buffer of 64 KiB."""
+    """A copy of a sample for a queue: Zenoh's sample would hold its whole receive buffer of 64 KiB."""
 
     key: str
     encoding: str
@@ -92,21 +92,21 @@ SEQUENCE_SPAN: Final = 2**32  # sequences wrap here
 UNREAD: Final = frozenset({GapReason.QUEUE, GapReason.SIZE})
 """Reasons for the loss of samples that were never decoded: their sequence is not known."""
 
-SOURCES_MAX: Final = 16  # sources of one key that are followed; of more, those that were silent longest begin anew
+SOURCES_MAX: Final = 16  # sources followed per key; the least recent beyond it are forgotten
 
 RESTART_STEP: Final = 2**24
-"""A step forward of this much (two days at 100 Hz) is none: the sender began anew, or a sample was late."""
+"""A larger step forward (two days at 100 Hz) means that the sender restarted, or a sample was late."""
 
 
 class KeyCounters:
     """Counts the samples of one key.
 
     Attributes:
-        unwritten: messages of those that are in no log, for whatever reason.
-        missed: samples that never came, by the gaps in ``sequence``, without those that were dropped unread.
-        dropped: raw frames that the source itself had to drop, by its own count.
+        unwritten: messages that are in no log, for any reason.
+        missed: samples that never arrived, by the gaps in ``sequence``, without those dropped unread.
+        dropped: raw frames that the source dropped, by its own count.
         lost: messages that reached the recorder and are not in the log, by reason.
-        lost_bus: frames of the chassis that never reached its gateway, by its own count; None if it reports none.
+        lost_bus: frames of the chassis that never reached the gateway, by its count; None if it reports none.
     """
 
     def __init__(self) -> None:
@@ -118,9 +118,9 @@ class KeyCounters:
         self.lost: dict[GapReason, int] = {}
         self.lost_bus: int | None = None
         self._bus_count: int | None = None
-        # By source, the one that was heard last at the end.
+        # By source, the most recent one last.
         self._sources: dict[str, int | None] = {}
-        self.next: int | None = None  # the sequence that the next sample should have; None before the first
+        self.next: int | None = None  # the next expected sequence; None before the first sample
         self._unread = 0  # samples dropped unread while ``next`` was ``_unread_at``
         self._unread_at: int | None = None
 
@@ -130,37 +130,37 @@ class KeyCounters:
         return sum(count for reason, count in self.lost.items() if reason in UNREAD)
 
     def lose(self, reason: GapReason, count: int) -> None:
-        """So many samples or messages reached the recorder and are not in the log."""
+        """Count samples or messages that reached the recorder and are not in the log."""
         self.lost[reason] = self.lost.get(reason, 0) + count
         if reason in UNREAD:
             self._unread = count + (self._unread if self._unread_at == self.next else 0)
             self._unread_at = self.next
 
     def find(self) -> None:
-        """One that was missed has come after all."""
+        """Count a missed sample that has arrived after all."""
         self.missed = max(0, self.missed - 1)
 
     def count_bus(self, lost: int) -> None:
-        """The gateway's count of frames lost on the bus since it started; the first one is where we begin."""
+        """Take the gateway's count of frames lost on the bus since its start; the first one is the baseline."""
         before, self._bus_count = self._bus_count, lost
-        # A count that falls is a gateway's that began anew.
+        # A count that falls shows a restarted gateway.
         new = 0 if before is None else lost - before if lost >= before else lost
         self.lost_bus = (self.lost_bus or 0) + new
 
     def count_sequence(self, sequence: int) -> bool:
-        """Take note of a sample's sequence. False if it steps back: the source has begun anew."""
+        """Count a sample by its sequence. False if it steps back: the source has restarted."""
         expected, self.next = self.next, (sequence + 1) % SEQUENCE_SPAN
         if expected is None or sequence == expected:
             return True
         step = (sequence - expected) % SEQUENCE_SPAN
         if step >= RESTART_STEP:
             return False
-        # What was dropped unread since the sample before this one left a gap, too.
+        # Samples dropped unread since the previous sample left a gap, too.
         self.missed += max(0, step - self._unread) if self._unread_at == expected else step
         return True
 
     def count_source(self, source: str, sequence: int) -> None:
-        """Take note of a sample by the sequence that Zenoh gives it: each source of a key has its own."""
+        """Count a sample by Zenoh's sequence: each source of a key has its own."""
         self.next = self._sources.pop(source, None)
         self.count_sequence(sequence % SEQUENCE_SPAN)
         self._sources[source] = self.next
@@ -210,7 +210,6 @@ def _file() -> FileDescriptorProto:
 _FILES: Final = (_TIMESTAMP, _file())
 
 SCHEMA_DATA: Final = FileDescriptorSet(file=_FILES).SerializeToString(deterministic=True)
-"""The serialised descriptor set."""
 
 
 def _message_class() -> Any:  # noqa: ANN401 - protobuf makes the class at run time
@@ -224,7 +223,7 @@ _Log: Final = _message_class()
 
 
 def log_record(event: SafetyEvent | RecorderEvent, name: str) -> bytes:
-    """An event as a line of a log, cut to what a line holds; ``name`` is who says it."""
+    """An event as a log line of limited length; ``name`` is the sender."""
     operator = f" ({short(event.operator)})" if event.operator else ""
     text = f"{event.kind.value}: {short(event.text)}{operator}"
     line = _Log(level=_LEVEL_OF.get(event.severity, LEVELS.index("UNKNOWN")), message=text, name=name)

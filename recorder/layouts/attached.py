@@ -1,8 +1,7 @@
 """The layouts that a recorder attaches to each log.
 
 They are files as the viewers save them, of the robot ``fleet/cruiser-1`` on the bus ``can0``: open one, change it
-in the viewer, and save it here. ``foxglove.json`` is for Foxglove and Lichtblick, which have no map for a log
-without positions; ``plotjuggler.xml`` plots numbers alone.
+in the viewer, and save it here. ``foxglove.json`` is for Foxglove and Lichtblick.
 """
 
 from __future__ import annotations
@@ -26,16 +25,11 @@ _TEMPLATES: Final = {
     for name, (file, _) in _FILES.items()
 }
 
-COUNT: Final = len(_FILES)  # so many does ``layouts`` make
+COUNT: Final = len(_FILES)  # number of files that ``layouts`` returns
 
 
 class RobotKeys(msgspec.Struct, frozen=True):
-    """The robot of a log.
-
-    Attributes:
-        key: the beginning of its keys: root and name.
-        bus: the CAN bus's name; empty if it is not known.
-    """
+    """The robot of a log: the beginning of its keys, and the CAN bus's name, empty if unknown."""
 
     key: str
     bus: str = ""
@@ -50,8 +44,8 @@ class ViewerLayout(msgspec.Struct, frozen=True):
 
 
 def layouts(robot: RobotKeys) -> list[ViewerLayout]:
-    """The layouts of a robot's log that need no viewer's own code to be made."""
-    # A gateway could make up a name that is none.
+    """The layouts of a robot's log that need no viewer's package."""
+    # The bus's name is untrusted.
     bus = f"/can/{robot.bus}/" if re.fullmatch(keys.BUS_PATTERN, robot.bus) else _BUS
     return [
         ViewerLayout(name, media_type, _TEMPLATES[name].replace(_BUS, bus).replace(_KEY, f"{robot.key}/").encode())

@@ -1,8 +1,7 @@
-"""A blueprint for rerun: the panels of the layout for Foxglove, and the switches, which that one has no chart for.
+"""A blueprint for rerun: the panels of the layout for Foxglove, and the switches.
 
-It can only be made with rerun's own package, which is large; so no recorder attaches it, and it is made from a
-log when it is wanted. It selects by a path which field of a message is the number or the state to draw; that is
-younger than most of rerun, and may change with it.
+It needs rerun's package, which is large: so it is made on demand, and recorders do not attach it. It selects the
+fields to draw by a new interface of rerun, which may change.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ PANELS: Final = {
 }
 """Views of the blueprint, and the panels of Foxglove's layout that they show."""
 
-_PATH: Final = re.compile(r'"([^"]+)"\.(\w+)')
-"""A message path of Foxglove: topic and field, as they are. One with ``@negative`` mirrors another."""
+_PATH: Final = re.compile(r'"([^"]+)"\.(\w+)')  # topic and field of a Foxglove message path without a modifier
 
 _SCALARS: Final = "Scalars:scalars"
 _STATE: Final = "StateChange:state"
@@ -68,11 +66,7 @@ def _lines(panel: dict[str, Any]) -> list[ChartLine]:
 
 
 def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
-    """Write the blueprint of a robot's log.
-
-    Args:
-        application: the name under which rerun opens the log: blueprints are kept by it.
-    """
+    """Write the blueprint of a robot's log; ``application`` is the name under which rerun opens it."""
     lines = chart_lines(robot)
     rows = blueprints.Vertical(
         _plot("speed, m/s", lines["speed"]),
@@ -93,7 +87,7 @@ def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
 
 
 def _plot(title: str, lines: Sequence[ChartLine]) -> blueprints.TimeSeriesView:
-    """Several lines of one topic are several visualisers of it."""
+    """A plot with one visualiser for each line of a topic."""
     overrides: dict[str, list[Any]] = {}
     for line in lines:
         series = rerun.SeriesLines(names=line.label, colors=int(f"{line.colour[1:]}ff", 16))
@@ -111,12 +105,12 @@ def _states(lines: Sequence[ChartLine]) -> blueprints.StateTimelineView:
 
 
 def mapping_of(line: ChartLine, target: str) -> VisualizerComponentMapping:
-    """Return where a visualiser finds what it draws; ``target`` is the name by which it asks for that."""
+    """Map a line's field to the component ``target`` of a visualiser."""
     parts = keys.parse(line.topic)
     if parts is None:
         raise AssertionError(f"the layout has a path to {line.topic}, which is no topic of a robot")
     kind = parts.subject.type
-    # Of an enumeration rerun makes a struct with its name and its number.
+    # rerun turns an enumeration into a struct of name and number.
     is_enum = any(name == line.field and isinstance(one, inspect.EnumType) for name, _, one in fields(kind))
     return VisualizerComponentMapping(
         target,

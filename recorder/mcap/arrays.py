@@ -1,8 +1,7 @@
-"""The places of the messages of many chunks at once, as numpy's arrays, by the message indexes behind the chunks.
+"""The places of the messages of many chunks at once, as numpy arrays, by the message indexes behind the chunks.
 
-An index is believed if its messages, with the schemas and channels that others put between them, fill the chunk
-from its first byte to its last: then none is missing, none is there twice, and none is anything but a message.
-Else the chunk is walked, record by record.
+An index is accepted if its messages, with schemas and channels between them, fill the chunk from its first byte to
+its last: then none is missing, duplicated, or anything but a message. Else the chunk is walked record by record.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from recorder.mcap.pieces import Declared, Fault, Index, MessageBlock, has_too_m
 Numbers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-PADDING: Final = 8  # bytes behind the records, so that whole words can be read of the last one
+PADDING: Final = 8  # bytes behind the records, so that whole words can be read at the end
 
 _OFFSET_MAX: Final = np.uint64(1 << 40)
 
@@ -42,13 +41,7 @@ _GAPS_MAX: Final = 10_000
 
 
 class Indexed(msgspec.Struct, frozen=True):
-    """The content of the message indexes behind a chunk.
-
-    Attributes:
-        base: the start of the chunk's records in a row of chunks...
-        end: ...and where they end.
-        index: as ``PackedChunk.index``.
-    """
+    """The index of a chunk whose records are the bytes from ``base`` to ``end`` of a row of chunks."""
 
     base: int
     end: int
@@ -73,7 +66,7 @@ class Places(msgspec.Struct, frozen=True):
         return len(self.offsets) * DATA_AT + int(self.lengths.sum())
 
     def moved(self, base: int) -> Places:
-        """The same in a row in which so many bytes stand before."""
+        """The places in a row with ``base`` more bytes before them."""
         return Places(self.offsets + base, self.lengths)
 
     def log_ns(self, content: Bytes) -> NDArray[np.uint64]:
@@ -87,11 +80,10 @@ class Places(msgspec.Struct, frozen=True):
 
 
 def proven_places(content: Bytes, size: int, chunks: Sequence[Indexed]) -> dict[int, Places] | None:
-    """The places that the indexes of chunks say, by channel; None if anything is wrong.
+    """The places by channel, from the chunks' indexes; None if anything is wrong.
 
     Args:
-        content: the records of the chunks, one chunk after the other, and PADDING bytes.
-        chunks: of each its index, in turns log time and offset.
+        content: the records of all chunks, and PADDING bytes.
     """
     parts = [
         (channel, entries, chunk) for chunk in chunks for channel, entries in chunk.index.items() if len(entries)
@@ -128,9 +120,9 @@ class Read(msgspec.Struct, frozen=True):
     """The messages of many blocks.
 
     Attributes:
-        content: the records of all blocks, one block after the other, and PADDING bytes.
+        content: the records of all blocks, and PADDING bytes.
         places: of the messages in ``content``, by channel.
-        others: what else stands in blocks that were walked, each with its block's number.
+        others: other records of walked blocks, with the block's number.
         wrong: numbers of the blocks whose index is wrong.
     """
 
@@ -141,11 +133,7 @@ class Read(msgspec.Struct, frozen=True):
 
 
 class Blocks:
-    """Blocks that wait to be read together.
-
-    Attributes:
-        bases: where the records of each begin in those of all; the last is where they end.
-    """
+    """Blocks to read together; ``bases`` are their offsets in the whole, then its size."""
 
     def __init__(self) -> None:
         self.blocks: list[MessageBlock] = []
@@ -157,7 +145,7 @@ class Blocks:
         return self.bases[-1]
 
     def add(self, block: MessageBlock, index: Index | None = None) -> None:
-        """Add a chunk's records with what its index says, or a message outside of chunks."""
+        """Add a chunk's records with its index, or a message outside of chunks."""
         self.blocks.append(block)
         self.bases.append(self.size + len(block.content))
         self._indexes.append(index)
@@ -166,8 +154,8 @@ class Blocks:
         """Find all messages.
 
         Args:
-            known: channels that chunks with an index need not be searched for. None: all schemas and channels are
-                wanted, and no message of a block that holds anything wrong.
+            known: channels that need not be searched for in chunks with an index. None: return all schemas and
+                channels, and no message of a faulty block.
         """
         content = np.frombuffer(b"".join([*(one.content for one in self.blocks), bytes(PADDING)]), np.uint8)
         read = Read(content, {}, [], [])
@@ -186,7 +174,7 @@ class Blocks:
         return read
 
     def _runs(self) -> Iterator[tuple[int, int]]:
-        """Each chunk by itself, and messages outside of chunks that follow each other at once."""
+        """Ranges of blocks: each chunk alone, and successive messages outside of chunks together."""
         single = [
             index is None and block.is_single for block, index in zip(self.blocks, self._indexes, strict=True)
         ]
@@ -199,7 +187,7 @@ class Blocks:
     def _proven(
         self, content: Bytes, first: int, behind: int, known: Container[int] | None
     ) -> dict[int, Places] | None:
-        """The places in these blocks if nothing has to be walked for them, else None."""
+        """The places in these blocks; None if they have to be walked."""
         base, size = self.bases[first], self.bases[behind] - self.bases[first]
         within = content[base : base + size + PADDING]
         indexed = [
@@ -220,7 +208,7 @@ class Blocks:
         return found if known is None or all(channel in known for channel in found) else None
 
     def _walked(self, place: int, read: Read, *, is_strict: bool) -> dict[int, Places]:
-        """The places in a block, record by record; all else that is there goes to ``read``."""
+        """The places in a block, record by record; other records go to ``read``."""
         said = self._indexes[place]
         index, others = self.blocks[place].read_index()
         read.others.extend((place, one) for one in others)
@@ -251,7 +239,7 @@ def _in_place_order(entries: array[int]) -> NDArray[np.uint64]:
 
 
 def _singles(content: Bytes, bounds: Numbers) -> dict[int, Places]:
-    """The places of messages that stand one behind the other."""
+    """The places of adjacent messages."""
     channels = _words(content, "<u2", CHANNEL_AT)[bounds[:-1]].astype(np.int64)
     order = np.argsort(channels, kind="stable")
     offsets, lengths = bounds[:-1] + DATA_AT, np.diff(bounds) - DATA_AT
@@ -280,14 +268,14 @@ def _by_channel(channels: Numbers, counts: list[int], offsets: Numbers, lengths:
 
 
 def _in_order(places: Places) -> Places:
-    """The same in the order of the file; others sort their indexes by time."""
+    """The places in the order of the file; other applications sort their indexes by time."""
     if (np.diff(places.offsets) > 0).all():
         return places
     return places.only(np.argsort(places.offsets, kind="stable"))
 
 
 def _words(content: Bytes, kind: str, shift: int) -> NDArray[Any]:
-    """Return the word at a fixed distance behind each byte, as an array of numbers of this kind."""
+    """Return the number of this kind at a fixed distance behind each byte."""
     words: NDArray[Any] = np.ndarray((len(content) - DATA_AT + 1,), kind, content, shift, (1,))
     return words
 

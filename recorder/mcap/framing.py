@@ -1,6 +1,6 @@
 """The framing of MCAP files (https://mcap.dev/spec): magic, opcodes, record headers, checksums. Pure.
 
-Known to this room alone: others write by ``writer`` and ``chunk``, and read by ``reader`` and ``summary_reader``.
+Private to this package: others write by ``writer``, and read by ``reader`` and ``summary_reader``.
 """
 
 from __future__ import annotations
@@ -33,48 +33,37 @@ MESSAGE_HEADER: Final = struct.Struct(f"<{HEAD_FORMAT}")
 HEADER_IN_LENGTH: Final = MESSAGE_HEADER.size - RECORD_HEADER.size
 """The part of the header that a record's length counts: all but opcode and length."""
 
+# Offsets in a message record.
 LENGTH_AT, CHANNEL_AT, SEQUENCE_AT, LOG_AT, PUBLISH_AT, DATA_AT = 1, 9, 11, 15, 23, MESSAGE_HEADER.size
-"""Places in a message record of its numbers, and of its data."""
 
 INDEX_HEADER: Final = struct.Struct("<BQHI")
 """A message index up to its entries: opcode, length, channel, bytes of the entries."""
 
-CHUNK_TIMES: Final = struct.Struct("<QQ")
-"""The beginning of a chunk's record: the first and the last log time in it."""
-
+CHUNK_TIMES: Final = struct.Struct("<QQ")  # the beginning of a chunk's record: its first and last log time
 LAST_OPCODE: Final = max(Opcode)  # the last one that MCAP defines
 
 CHECK_OPCODE: Final = 0x80
-"""A record of our own (MCAP leaves 0x80 and above to applications, and readers skip them): a checksum.
+"""A record of our own with a checksum; MCAP leaves 0x80 and above to applications, and readers skip them.
 
-MCAP has none for schemas, channels and metadata before the file is finished: in a log of a recorder that was
-killed a flipped bit would change a topic's name, and nobody would know.
+MCAP protects schemas, channels and metadata only in finished files: after a crash, a flipped bit in a topic's name
+would go unnoticed.
 """
 
-CHECK: Final = struct.Struct("<BQII")
-"""The check: opcode, length, and of how many bytes right before it which CRC-32."""
-
-CHECK_MARK: Final = RECORD_HEADER.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size)
-"""The beginning of every check."""
-
-FOOTER: Final = struct.Struct("<BQQQI")
-"""The footer: opcode, length, where the summary and its own offsets begin, and the checksum of all since then."""
+CHECK: Final = struct.Struct("<BQII")  # opcode, length, number of bytes before it, their CRC-32
+CHECK_MARK: Final = RECORD_HEADER.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size)  # the start of every check
+FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, offsets of the summary and its offsets, their checksum
 
 CHUNK_NAME_AT: Final = RECORD_HEADER.size + 28
-"""Place in a chunk's record of its compression's name: behind two times, a size and a CRC."""
+"""Offset in a chunk's record of its compression's name: behind two times, a size and a CRC."""
 
-RECORD_MAX: Final = 1 << 30
-"""A record that says it is longer than this is damaged: it is not worth a gigabyte of memory to see."""
+RECORD_MAX: Final = 1 << 30  # a longer record counts as damaged: it is never read into memory
 
 UNPACKED_MAX: Final = 1 << 27
-"""A packed chunk that promises more is not unpacked: no recorder makes such, and a few kilobytes might hold a
-gigabyte of tiny messages, each of which costs whoever reads it several times its length."""
+"""A packed chunk that states a larger size is not unpacked: a few kilobytes might hold a gigabyte of tiny
+messages, each of which takes several times its length in memory."""
 
-RECORDS_MAX: Final = 1 << 20
-"""A chunk is read up to this many records, twice as many as the largest of a recorder's could hold."""
-
-DECLARED_MAX: Final = 1 << 27
-"""Schemas and channels in the chunks of a file are read up to so many bytes: whoever reads keeps them all."""
+RECORDS_MAX: Final = 1 << 20  # most records of a chunk that are read: twice as many as our largest could hold
+DECLARED_MAX: Final = 1 << 27  # most bytes of schemas and channels in the chunks of a file: readers store them all
 
 BROKEN: Final = (
     McapError,
@@ -85,7 +74,7 @@ BROKEN: Final = (
     MemoryError,
     RuntimeError,  # what the lz4 package raises
 )
-"""Exceptions of the mcap package's parsers on bytes that are no such record."""
+"""Exceptions of the mcap package's parsers on damaged bytes."""
 
 _GLANCE_BYTES: Final = 1 << 13
 
@@ -113,12 +102,12 @@ Record = TypeVar("Record", records.Header, records.MessageIndex, records.Attachm
 
 
 class DamagedError(ValueError):
-    """Bytes that are not the record that should be there, or whose checksum is wrong."""
+    """Bytes that are not the expected record, or whose checksum is wrong."""
 
 
 @contextmanager
 def parsing() -> Iterator[None]:
-    """Turn everything that a parser raises on damaged bytes into a DamagedError of the same text."""
+    """Turn a parser's exceptions on damaged bytes into a DamagedError of the same text."""
     try:
         yield
     except DamagedError:
@@ -128,7 +117,7 @@ def parsing() -> Iterator[None]:
 
 
 class RecordFile:
-    """The bytes of a file and the headers of its records; what lies close together is read at once."""
+    """Buffered access to the bytes and records of a file."""
 
     def __init__(self, stream: BinaryIO, size: int, block_bytes: int = _GLANCE_BYTES) -> None:
         self.size = size
@@ -138,7 +127,7 @@ class RecordFile:
         self._block_at = 0
 
     def read(self, offset: int, length: int) -> bytes:
-        """Bytes at an offset, fewer at the end."""
+        """The bytes at an offset; fewer at the end of the file."""
         start = offset - self._block_at
         if start < 0 or start + length > len(self._block):
             self._stream.seek(offset)
@@ -147,7 +136,7 @@ class RecordFile:
         return self._block[start : start + length]
 
     def header(self, offset: int) -> tuple[int, int] | None:
-        """Opcode of the record there, and where it ends, in the file or beyond; None if there is no header."""
+        """Opcode and end of the record there, perhaps beyond the file; None if there is no header."""
         head = self.read(offset, RECORD_HEADER.size)
         if len(head) < RECORD_HEADER.size:
             return None
@@ -155,7 +144,7 @@ class RecordFile:
         return opcode, offset + RECORD_HEADER.size + length
 
     def record(self, offset: int) -> tuple[int, bytes] | None:
-        """Opcode and all bytes of the record there; None if it is longer than the file, or than any may be."""
+        """Opcode and all bytes of the record there; None if it is too long, or exceeds the file."""
         header = self.header(offset)
         if header is None or header[1] > min(self.size, offset + RECORD_HEADER.size + RECORD_MAX):
             return None
@@ -172,13 +161,13 @@ class RecordFile:
             at = behind
 
     def message_index(self, offset: int) -> tuple[int, array[int], int] | None:
-        """The message index there: its channel, its entries, and where it ends; None if there is none."""
+        """Channel, entries and end of the message index there; None if there is none."""
         head = self.read(offset, INDEX_HEADER.size)
         if len(head) < INDEX_HEADER.size or head[0] != Opcode.MESSAGE_INDEX:
             return None
         _, length, channel_id, entries_length = INDEX_HEADER.unpack(head)
         end: int = offset + RECORD_HEADER.size + length
-        # Behind the entries there may be fields of a later version.
+        # A later version may add fields behind the entries.
         is_true = end >= offset + INDEX_HEADER.size + entries_length and entries_length % 16 == 0
         if not is_true or end > self.size:
             return None
@@ -190,24 +179,17 @@ class RecordFile:
 
 
 def is_reserved(opcode: int) -> bool:
-    """True of those that a later version of MCAP may use: readers pass over such records."""
+    """True of opcodes that a later version of MCAP may use: readers skip such records."""
     return LAST_OPCODE < opcode < CHECK_OPCODE
 
 
 def parse(opcode: int, body: bytes) -> Any:  # noqa: ANN401 - by the opcode
-    """The mcap package's record of this opcode.
-
-    Raises:
-        what BROKEN lists.
-    """
+    """The mcap package's record of this opcode. Raises what BROKEN lists."""
     return _PARSERS[opcode](ReadDataStream(BytesIO(body)))
 
 
 def record_at(stream: BinaryIO, offset: int, kind: type[Record], size: int | None = None) -> Record | None:
-    """The record of this kind there; None if there is none.
-
-    Args:
-        size: its bytes in the file, if they are known: a record of another size is none.
+    """The record of this kind, and of this size if given, at an offset; None if there is none.
 
     Raises:
         DamagedError: it cannot be read.
@@ -227,7 +209,7 @@ def encode(record: records.McapRecord) -> bytes:
 
 
 def encode_index(channel_id: int, entries: array[int]) -> bytes:
-    """A message index record: log times and offsets in turns, of the messages of one channel in a chunk."""
+    """A message index record, from alternating log times and offsets of one channel's messages in a chunk."""
     if sys.byteorder == "big":
         entries = entries[:]
         entries.byteswap()
@@ -236,12 +218,12 @@ def encode_index(channel_id: int, entries: array[int]) -> bytes:
 
 
 def encode_indexes(index: Mapping[int, array[int]]) -> bytes:
-    """The records that stand behind a chunk with this index."""
+    """The message index records of a chunk."""
     return b"".join(encode_index(channel_id, entries) for channel_id, entries in index.items())
 
 
 def check_of(length: int, crc: int) -> bytes:
-    """The check of so many bytes with this CRC-32."""
+    """The check of ``length`` bytes with this CRC-32."""
     return CHECK.pack(CHECK_OPCODE, CHECK.size - RECORD_HEADER.size, length, crc)
 
 
@@ -250,7 +232,7 @@ def checked(data: bytes) -> bytes:
 
 
 def has_wrong_crc(attachment: bytes) -> bool:
-    """True of an attachment's body with a checksum that is not its own; 0 is none."""
+    """True of an attachment's body with a wrong checksum; 0 is none."""
     at = 16
     for size in (4, 4, 8):  # Name, media type and data, each behind its length.
         at += size + int.from_bytes(attachment[at : at + size], "little")

@@ -1,11 +1,11 @@
-"""The pieces of an MCAP file in their order, and the proof of what they hold. Pure, but for the stream.
+"""The pieces of an MCAP file in order, and the proof of their content. Pure, except for the stream.
 
-A chunk is still packed when it is found. Unpacked it is a block of messages, as is a single message outside of
-chunks; a block is read message by message, by its index, or with many others as numpy's arrays (``arrays``).
+A chunk is found packed. Unpacked it is a block of messages, like a single message outside of chunks. A block is
+read message by message, by its index, or with many others as numpy arrays (``arrays``).
 
-In a damaged or unfinished file each intact piece is proven by its checksum: a chunk with its message indexes, or
-another record with the check behind it. Where the bytes make no sense the scan goes on at the next piece that is
-proven. In a file without checks, which others wrote, a record outside of chunks is taken as it is.
+In a damaged or unfinished file a checksum proves each intact piece: a chunk with its message indexes, or another
+record with the check behind it. After damage the scan continues at the next proven piece. In a file of another
+application, without checks, a record outside of chunks is accepted as it is.
 """
 
 from __future__ import annotations
@@ -59,10 +59,9 @@ TOO_MANY_RECORDS: Final = f"a chunk holds more than {RECORDS_MAX} records"
 TOO_MUCH_DECLARED: Final = f"schemas and channels in chunks are longer than {DECLARED_MAX} bytes"
 
 _CHUNK_HEAD: Final = struct.Struct("<QQQII")
-"""A chunk's record up to the name of its compression: two times, size and checksum unpacked, the name's length."""
+"""A chunk up to the name of its compression: two times, size and checksum unpacked, length of the name."""
 
-_ZSTD_HEAD: Final = struct.Struct("<QQQII4sQ")
-"""The same of a chunk packed with zstd up to its data: the name, and the length of the data."""
+_ZSTD_HEAD: Final = struct.Struct("<QQQII4sQ")  # a zstd chunk up to its data
 
 _DECLARED: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})  # besides messages, what a chunk may hold
 
@@ -70,15 +69,11 @@ Topic = TypeVar("Topic")
 Made = TypeVar("Made")
 
 Index = Mapping[int, "array[int]"]
-"""Per channel the log time and the offset in the block of each message, in turns."""
+"""Per channel, alternating log time and offset in the block of each message."""
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """Something wrong with the file.
-
-    Attributes:
-        offset: its place in the file, in bytes.
-    """
+    """A fault of the file, at ``offset`` bytes. ``cuts``: nothing after it can be read."""
 
     offset: int
     detail: str
@@ -99,7 +94,7 @@ Declared = records.Schema | records.Channel
 
 
 class DeclaredRoom:
-    """The room for schemas and channels in the chunks of one file: those of a new id take of it."""
+    """The limit of schemas and channels in the chunks of one file; each id counts once."""
 
     def __init__(self) -> None:
         self._left = DECLARED_MAX
@@ -116,12 +111,11 @@ class DeclaredRoom:
 
 
 class MessageBlock(msgspec.Struct, frozen=True):
-    """Message records, and between them the schemas and channels that others declare in chunks.
+    """Message records, and the schemas and channels that other applications put between them.
 
     Attributes:
-        offset: of the chunk, or of the first record outside of chunks; in the file, in bytes.
-        content: the records one after the other, opcodes and lengths included.
-        room: for the schemas and channels of the file.
+        offset: of the chunk, or of the first record outside of chunks, in the file.
+        content: the records, opcodes and lengths included.
     """
 
     offset: int
@@ -137,7 +131,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
         )
 
     def messages(self) -> Iterator[LoggedMessage | Declared | Fault]:
-        """The records one by one; a Fault is the last."""
+        """The records one by one; a Fault comes last."""
         content = self.content
         unpack, head = MESSAGE_HEADER.unpack_from, MESSAGE_HEADER.size
         try:
@@ -151,7 +145,7 @@ class MessageBlock(msgspec.Struct, frozen=True):
             yield Fault(self.offset, _in_words(error))
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
-        """Return the places of the messages, record by record, and all other records; a Fault is the last."""
+        """Walk the records. Returns the messages' index and all other records; a Fault comes last."""
         index, declared, why = _index_of(self.content, self.room)
         return index, [*declared, *([Fault(self.offset, why)] if why else [])]
 
@@ -163,12 +157,12 @@ class MessageBlock(msgspec.Struct, frozen=True):
         from_ns: int,
         to_ns: int,
     ) -> list[Made] | None:
-        """The wanted messages in the order of the block; None if an entry of the index does not fit its message.
+        """The wanted messages in the order of the block; None if the index does not match the messages.
 
         Args:
-            index: as the message indexes behind the chunk say.
-            wanted: the argument of ``make`` for each channel; messages of others are passed over.
-            make: is given that, sequence, log time, publish time and data of each message.
+            index: of the message indexes behind the chunk.
+            wanted: the first argument of ``make`` for each channel; other channels are skipped.
+            make: gets that argument, sequence, log time, publish time and data of a message.
         """
         if has_too_many(index):
             return None
@@ -192,22 +186,20 @@ class MessageBlock(msgspec.Struct, frozen=True):
                     data = content[offset + head : behind]
                     made.append(make(wanted[channel_id], sequence, log_ns, publish_ns, data))
         except (struct.error, OverflowError):
-            # Beyond the content, or beyond what this machine can address.
+            # Beyond the content, or beyond the address range.
             return None
         return made
 
 
 class PackedChunk(msgspec.Struct, frozen=True):
-    """A chunk, not yet read.
+    """A chunk that is not yet read.
 
     Attributes:
         offset, length: of the chunk's record in the file, opcode and length included.
-        start_ns, end_ns: log times of its first and last message, as its head says.
-        index: of each channel the log time and the offset of each message, in turns, as the message indexes
-            behind the chunk say; None if there are none, or some may be missing. Nothing has proven them.
-        places: of each channel in ``index`` where in the file its message index stands.
+        start_ns, end_ns: log times of the first and last message, by its head.
+        index: of the message indexes behind the chunk, unproven; None if there are none, or some may be missing.
+        places: offset in the file of each channel's message index.
         end: the end of the message indexes in the file.
-        room: for the schemas and channels of the file.
     """
 
     stream: BinaryIO
@@ -221,11 +213,7 @@ class PackedChunk(msgspec.Struct, frozen=True):
     room: DeclaredRoom
 
     def unpack(self) -> MessageBlock:
-        """The chunk's records; its checksum is verified.
-
-        Raises:
-            DamagedError: it is damaged, or packed in a way that nobody here knows.
-        """
+        """The chunk's records, with a verified checksum; DamagedError if they cannot be unpacked."""
         with parsing():
             size = self.length - RECORD_HEADER.size
             if size > RECORD_MAX:
@@ -234,14 +222,14 @@ class PackedChunk(msgspec.Struct, frozen=True):
             return MessageBlock(self.offset, _content(self.stream.read(size)), self.room)
 
     def read_index(self) -> tuple[Index, list[Declared | Fault]]:
-        """As ``MessageBlock.read_index``, whatever the message indexes say."""
+        """As ``MessageBlock.read_index``; ignores the message indexes."""
         try:
             return self.unpack().read_index()
         except DamagedError as error:
             return {}, [Fault(self.offset, f"a chunk cannot be read: {error}")]
 
     def described(self) -> IndexedChunk:
-        """The chunk as the summary's index should describe it; of a chunk that can be unpacked."""
+        """The entry that the summary should hold of this chunk, if it can be unpacked."""
         self.stream.seek(self.offset + RECORD_HEADER.size)
         start_ns, end_ns, unpacked, _, name_length = _CHUNK_HEAD.unpack(self.stream.read(_CHUNK_HEAD.size))
         return IndexedChunk(
@@ -258,13 +246,9 @@ class PackedChunk(msgspec.Struct, frozen=True):
 
 
 def content_of(chunk: records.Chunk) -> bytes:
-    """The records of a chunk, whose checksum is verified, if it has one.
-
-    Raises:
-        what ``framing.BROKEN`` lists.
-    """
+    """The records of a chunk, with its checksum verified if it has one. Raises what ``framing.BROKEN`` lists."""
     if chunk.compression not in _UNPACKERS:
-        raise DamagedError(f"its compression {chunk.compression!r} is not known here")
+        raise DamagedError(f"its compression {chunk.compression!r} is not supported")
     if chunk.uncompressed_size > (UNPACKED_MAX if chunk.compression else RECORD_MAX):
         raise DamagedError(f"a chunk of {chunk.uncompressed_size} bytes is too large")
     content = _UNPACKERS[chunk.compression](chunk.data, chunk.uncompressed_size)
@@ -299,11 +283,11 @@ _UNPACKERS: Final[Mapping[str, Callable[[bytes, int], bytes]]] = {
     "lz4": _from_lz4,
     "zstd": _from_zstd,
 }
-"""All that MCAP's registry names."""
+"""All compressions of MCAP's registry."""
 
 
 def _content(body: bytes) -> bytes:
-    """The records of a chunk's record; those that a recorder of ours has packed without detours."""
+    """The records of a chunk's record, with a fast path for chunks of our recorder."""
     if len(body) > _ZSTD_HEAD.size:
         _, _, size, crc, name_length, name, length = _ZSTD_HEAD.unpack_from(body)
         data = memoryview(body)[_ZSTD_HEAD.size :]
@@ -313,17 +297,12 @@ def _content(body: bytes) -> bytes:
                 content = zstandard.decompress(data)
                 if len(content) == size and zlib.crc32(content) == crc:
                     return content
-    # Whatever is wrong with it, or only another way to pack it, is found there.
+    # Finds the fault, or reads another kind of packing.
     return content_of(parse(Opcode.CHUNK, body))
 
 
 def split(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode of each record in a chunk, where it begins, and where it ends.
-
-    Raises:
-        DamagedError: these are no records.
-        struct.error: a record's header is cut off.
-    """
+    """Opcode, start and end of each record in a chunk. DamagedError or struct.error if these are no records."""
     unpack = RECORD_HEADER.unpack_from
     start, size, left = 0, len(content), RECORDS_MAX
     while start < size:
@@ -335,14 +314,14 @@ def split(content: bytes) -> Iterator[tuple[int, int, int]]:
         if end > size or (opcode == MESSAGE_OPCODE and length < HEADER_IN_LENGTH):
             raise DamagedError(HALF_RECORD)
         if not opcode:
-            # Else every nine zeros would count as a record: a bomb of them keeps a reader busy for minutes.
+            # Else every nine zeros would count as a record, and keep a reader busy for minutes.
             raise DamagedError(NO_RECORD)
         yield opcode, start, end
         start = end
 
 
 def has_too_many(index: Index) -> bool:
-    """True of an index that names more records than a chunk may hold."""
+    """True of an index with more records than a chunk may hold."""
     return sum(map(len, index.values())) > 2 * RECORDS_MAX
 
 
@@ -355,9 +334,9 @@ def index_content(content: bytes, room: DeclaredRoom | None = None) -> tuple[Ind
 
 
 def _index_of(content: bytes, room: DeclaredRoom) -> tuple[Index, list[Declared], str]:
-    """The same up to where these are no records, and what is wrong there; empty if nothing is.
+    """The index and declarations up to the first fault, and the fault's text; empty if there is none.
 
-    In words: an exception that is kept holds the chunk, by its traceback, until Python looks for garbage.
+    A text, because a stored exception would hold the chunk by its traceback.
     """
     index: dict[int, array[int]] = {}
     declared: list[Declared] = []
@@ -382,15 +361,13 @@ def _in_words(error: Exception) -> str:
     return str(error) if isinstance(error, DamagedError) else f"a record cannot be read: {error}"
 
 
-SEARCH_BYTES: Final = 1 << 20  # the search for the next whole piece reads this much at once
-
-LOOK_FOR_CHECKS: Final = 4096
-"""A file is one of ours if there is a check within so many bytes of its beginning, where we have several."""
+SEARCH_BYTES: Final = 1 << 20  # read at once in the search for the next whole piece
+LOOK_FOR_CHECKS: Final = 4096  # our files have several checks within this many bytes
 
 _COMPRESSION_MARKS: Final = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
 
 _PLAIN_CHUNK: Final = re.compile(rb"\x06[\s\S]{5}\0\0\0[\s\S]{28}\0\0\0\0")
-"""The head of a chunk without compression that is not longer than any may be."""
+"""The head of an uncompressed chunk of permitted length."""
 
 _PARSED: Final = frozenset({Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT})
 _WRITTEN: Final = _PARSED | {
@@ -405,15 +382,14 @@ Parsed = records.Header | records.Schema | records.Channel | records.Metadata | 
 
 
 class ProvenChunk(msgspec.Struct, frozen=True):
-    """A chunk whose content its CRC proves.
+    """A chunk whose content is proven by its CRC.
 
     Attributes:
-        offset, chunk_end, end: of the chunk, of its record, and of the message indexes behind it.
-        record: the chunk; its times are those of its content, whatever it said.
-        index: as in ``recorder.mcap.writer.Chunk``, found anew.
-        raw: the bytes of the chunk and of its message indexes, as they are in the file.
-        places: where in ``raw`` the message index of each channel stands, if they say what is there; else None.
-            A file need not have any.
+        offset, chunk_end, end: start of the chunk, end of its record, and end of the message indexes behind it.
+        record: the chunk with the times of its content.
+        index: built from the content.
+        raw: the bytes of the chunk and of its message indexes in the file.
+        places: offset in ``raw`` of each channel's message index; None if the indexes are wrong.
     """
 
     offset: int
@@ -432,8 +408,8 @@ class ProvenRecord(msgspec.Struct, frozen=True):
     """A record outside of chunks, and its check.
 
     Attributes:
-        raw: the bytes of both; ``length`` of them are the record's.
-        parsed: None for a message and for what MCAP leaves to applications.
+        raw: the bytes of both; the first ``length`` are the record's.
+        parsed: None for messages and application records.
     """
 
     offset: int
@@ -444,7 +420,7 @@ class ProvenRecord(msgspec.Struct, frozen=True):
 
 
 class DataEnd(msgspec.Struct, frozen=True):
-    """The data ends here; what follows can be made anew. ``crc`` is what it says of all data, 0 if nothing."""
+    """The end of the data; the rest can be rebuilt. ``crc`` is the stated checksum of all data, 0 if none."""
 
     offset: int
     end: int
@@ -455,7 +431,7 @@ Found = ProvenChunk | ProvenRecord | DataEnd | Fault
 
 
 class Scanner:
-    """Looks through a file."""
+    """Scans a file for pieces."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self.file = RecordFile(stream, size)
@@ -464,7 +440,7 @@ class Scanner:
 
     @cached_property
     def has_checks(self) -> bool:
-        """True if a recorder of ours wrote it: other applications may have records of the check's opcode."""
+        """True if our recorder wrote it; verified, as other applications may use the check's opcode."""
         begin = self.file.read(0, LOOK_FOR_CHECKS)
         at = begin.find(CHECK_MARK)
         while at >= 0:
@@ -503,7 +479,7 @@ class Scanner:
         )
 
     def is_torn(self, offset: int) -> bool:
-        """Return True if nothing but the beginning of one last write, or nothing at all, follows there."""
+        """Return True if only the beginning of one last write follows there, or nothing."""
         at = offset
         while at < self._size and (header := self.file.header(at)) is not None:
             opcode, at = header
@@ -520,7 +496,7 @@ class Scanner:
         return True
 
     def piece(self, offset: int) -> Found:
-        """The piece there, if anything proves it."""
+        """The piece there, or a Fault if it is not proven."""
         record = self.file.record(offset)
         if record is None:
             return Fault(offset, "a record is cut off")
@@ -539,7 +515,7 @@ class Scanner:
         crc = int.from_bytes(raw[RECORD_HEADER.size :][:4], "little")
         found = DataEnd(offset, offset + len(raw), crc)
         is_plain = len(raw) == RECORD_HEADER.size + 4 and not (behind and behind[0] > LAST_OPCODE)
-        # Another one counts where the whole file bears it out: else damage could end the data too early.
+        # Any other must be confirmed by the whole file: else damage could end the data too early.
         is_other = len(raw) >= RECORD_HEADER.size + 4 and self.is_closed(found)
         return found if is_plain or is_other else Fault(offset, "a record cannot be read")
 
@@ -587,7 +563,7 @@ class Scanner:
 
     def _message_indexes(self, chunk: int, offset: int, index: Index) -> tuple[dict[int, int] | None, int]:
         """Return the places of a chunk's message indexes, as in ``ProvenChunk``, and their end in the file."""
-        # Others may put them in another order, or leave them out.
+        # Other applications may order them differently, or omit them.
         found: dict[int, array[int]] = {}
         places: dict[int, int] = {}
         at = offset
@@ -628,8 +604,8 @@ class Scanner:
         return isinstance(found, ProvenRecord) and (self.has_checks or found.parsed is not None)
 
     def _find(self, start: int) -> tuple[int, int] | None:
-        """The first mark from there on that a piece may have, and where that piece would begin."""
-        overlap = CHUNK_NAME_AT + 4  # The head of a chunk without compression; the other marks are shorter.
+        """The first possible mark of a piece from there on, and where that piece would begin."""
+        overlap = CHUNK_NAME_AT + 4  # The head of an uncompressed chunk; the other marks are shorter.
         while start < self._size:
             block = self.file.read(start, SEARCH_BYTES + overlap)
             marks = []

@@ -2,19 +2,17 @@
 
     for piece in read_pieces(stream, size):
         match piece:
-            case PackedChunk():     # .index and times are known; .unpack() reads it, .read_index() again
+            case PackedChunk():     # .index and times are known; .unpack() and .read_index() read it
             case MessageBlock():    # a message outside of chunks: .messages()
             case records.Schema() | records.Channel() | records.Metadata() | ...:
-            case Fault():           # what is wrong, and where; the reading continues where it can
-            case SummaryStart():    # what follows repeats some of the data
+            case Fault():           # what is wrong, and where; the reading continues if possible
+            case SummaryStart():    # the rest repeats some of the data
             case End():
 
-What is wrong with a file is a value, a Fault. Behind a damaged record the reader looks for the next piece that
-proves itself by a checksum (``proof``). Nothing of a chunk is read from the disk before it is unpacked, so who
-wants few of them pays for few.
+After a damaged record the reader looks for the next piece that is proven by a checksum (``pieces``). A chunk is
+read from the disk only when it is unpacked.
 
-Besides: ``record_at`` gives a single record, ``summary_reader`` the end of a file, ``recovery`` what is proven of
-a damaged one.
+``record_at`` reads one record, ``summary_reader`` the end of a file, ``recovery`` the good data of a damaged one.
 """
 
 from __future__ import annotations
@@ -65,9 +63,8 @@ __all__ = [
     "record_at",
 ]
 
-_BLOCK_BYTES: Final = 1 << 20
-"""All that is read goes by in such blocks; where most is passed over, in smaller ones."""
-_GLANCE_BYTES: Final = 1 << 13
+_BLOCK_BYTES: Final = 1 << 20  # read at once
+_GLANCE_BYTES: Final = 1 << 13  # read at once where most is skipped
 
 _YIELDED: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.STATISTICS}
@@ -75,18 +72,18 @@ _YIELDED: Final = frozenset(
 
 
 class End(msgspec.Struct, frozen=True):
-    """The footer and the closing magic: the file is whole, but for the faults before."""
+    """The footer and the closing magic: the file is whole, except for earlier faults."""
 
 
 class PassedOver(msgspec.Struct, frozen=True):
-    """A record of a later version of MCAP, which is not read."""
+    """A skipped record of a later version of MCAP."""
 
     offset: int
     opcode: int
 
 
 class SummaryStart(msgspec.Struct, frozen=True):
-    """The data ends here; what follows repeats some of it."""
+    """The end of the data; the rest repeats some of it."""
 
 
 Piece = (
@@ -115,8 +112,8 @@ def read_pieces(stream: BinaryIO, size: int, *, is_verifying: bool = True) -> It
     """The pieces of a file. Schemas, channels and statistics come again from the summary.
 
     Args:
-        is_verifying: hold the data, the checks and the summary against their checksums too, which reads every
-            byte. A chunk's own is verified whenever it is unpacked.
+        is_verifying: also verify data, checks and summary, which reads every byte. Unpacking a chunk always
+            verifies its checksum.
     """
     return _Reading(stream, size, is_verifying=is_verifying).pieces()
 
@@ -128,10 +125,8 @@ class _Reading:
         self._scanner = Scanner(stream, size)
         self._room = DeclaredRoom()
         self._is_verifying = is_verifying
-        # Of the data section up to its end, then of the summary; None once bytes were passed over.
-        self._crc: int | None = zlib.crc32(MAGIC)
-        # Where the record before begins and ends: a check repeats its length and checksum.
-        self._last = (0, 0)
+        self._crc: int | None = zlib.crc32(MAGIC)  # of the data, then of the summary; None once bytes were skipped
+        self._last = (0, 0)  # start and end of the previous record, to which a check applies
 
     def pieces(self) -> Iterator[Piece]:
         offset, size = FIRST_RECORD, self._file.size
@@ -152,19 +147,19 @@ class _Reading:
         yield Fault(size, "the file ends without a footer", cuts=True)
 
     def _is_record(self, offset: int) -> bool:
-        """Return True if a record is there that fits into the file, or the magic at its end."""
+        """Return True if a record that fits into the file is there, or the closing magic."""
         opcode, end = self._file.header(offset) or (0, 0)
         return (bool(opcode) and end <= self._file.size) or self._file.read(offset, len(MAGIC) + 1) == MAGIC
 
     def _pass_over(self, offset: int, detail: str) -> Generator[Piece, None, int | None]:
-        """Looks for the next piece. Returns, at the end of the iteration, where it is; None if there is none."""
+        """Yield a Fault. Returns the offset of the next piece, if any."""
         behind = self._scanner.next_piece(offset)
         self._crc = None
         yield Fault(offset, detail, cuts=behind is None)
         return behind
 
     def _record(self, offset: int, opcode: int, end: int) -> Generator[Piece, None, int]:
-        """One record, and with a chunk its indexes. Returns, at the end, where the next one begins."""
+        """Yield a record, a chunk with its indexes. Returns the offset of the next one."""
         if opcode == Opcode.DATA_END:
             yield from self._data_end(offset, end)
             return end
@@ -189,7 +184,7 @@ class _Reading:
         return self._file.read(offset + RECORD_HEADER.size, end - offset - RECORD_HEADER.size)
 
     def _take(self, offset: int, end: int) -> None:
-        """Adds bytes of the file to the checksum of all."""
+        """Add bytes of the file to the checksum of all."""
         if self._is_verifying and self._crc is not None:
             self._crc = self._crc_of(offset, end, self._crc)
 
@@ -199,8 +194,8 @@ class _Reading:
         return crc
 
     def _check_of(self, offset: int, end: int) -> bytes:
-        """The check that belongs behind this record."""
-        # A longer record than a check can hold is none of ours.
+        """The check of this record."""
+        # Records too long for a check are not ours.
         return check_of(min(end - offset, 2**32 - 1), self._crc_of(offset, end))
 
     def _data_end(self, offset: int, end: int) -> Iterator[Piece]:
@@ -213,7 +208,7 @@ class _Reading:
         yield SummaryStart()
 
     def _chunk(self, offset: int, end: int) -> Generator[Piece, None, int]:
-        """Yields the chunk. Returns where its message indexes end."""
+        """Yield the chunk. Returns the end of its message indexes."""
         times = self._file.read(offset + RECORD_HEADER.size, CHUNK_TIMES.size)
         length = end - offset
         index: dict[int, array[int]] = {}

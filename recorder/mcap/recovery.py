@@ -1,7 +1,7 @@
-"""Makes a damaged or unfinished MCAP file whole, as far as its checksums prove what it holds. No I/O but streams.
+"""Recovers damaged or unfinished MCAP files, as far as checksums prove their content. No I/O but streams.
 
 A file whose writer was killed is good up to its last write: cut it back to ``FileSurvey.end`` and append
-``FileSurvey.ending``. Where something before that is damaged, ``copy_good`` writes what is good into another file.
+``FileSurvey.ending``. If earlier data is damaged, ``copy_good`` writes the good data into another file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from recorder.mcap.writer import COMPRESSION, COMPRESSION_LEVEL, Summary
 
 _NO_SCHEMA: Final = records.Schema(id=0, data=b"", encoding="", name="")
 
-FAULTS_SHOWN: Final = 20  # faults that are listed one by one; the rest are only counted
+FAULTS_SHOWN: Final = 20  # faults that are listed; the others are only counted
 
 
 class Sink(Protocol):
@@ -40,13 +40,13 @@ class Sink(Protocol):
 
 
 class FileSurvey(msgspec.Struct, frozen=True):
-    """The result of a scan of a file, as a recovery needs it.
+    """The result of a scan of a file.
 
     Attributes:
-        is_whole: it is closed properly, and nothing in it is wrong.
-        end: the good data ends here, if there are no faults; ``ending`` makes a whole file of it.
-        faults: damage with good data behind it; ``fault_count`` of them, the first ones listed.
-        is_torn: behind the good data there is but the beginning of one last write, or nothing.
+        is_whole: it is closed properly, without a fault.
+        end: the end of the good data, if there are no faults; ``ending`` completes the file.
+        faults: the first of ``fault_count`` damages with good data behind them.
+        is_torn: only the beginning of one last write, or nothing, follows the good data.
     """
 
     is_whole: bool
@@ -60,7 +60,7 @@ class FileSurvey(msgspec.Struct, frozen=True):
 
 
 def survey(stream: BinaryIO, size: int) -> FileSurvey:
-    """Read a file and judge it; nothing in it raises."""
+    """Scan a file; nothing in it raises."""
     scanner = Scanner(stream, size)
     rebuild = _Rebuild(None, read_summary(stream), has_checks=scanner.has_checks)
     data_end: DataEnd | None = None
@@ -69,7 +69,7 @@ def survey(stream: BinaryIO, size: int) -> FileSurvey:
     for found in scanner.scan():
         match found:
             case ProvenRecord() | ProvenChunk():
-                # What was wrong is damage only if something good comes behind it; else it is the torn end.
+                # A fault before good data is damage; without good data behind it, it is the torn end.
                 rebuild.faults += pending
                 pending = []
                 if isinstance(found, ProvenChunk) and (found.places is None or not found.has_true_head):
@@ -85,7 +85,7 @@ def survey(stream: BinaryIO, size: int) -> FileSurvey:
     if data_end is not None:
         rebuild.faults += pending
         if data_end.crc not in {0, rebuild.crc} and not (rebuild.faults or scanner.has_checks):
-            rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong, and nothing tells where")
+            rebuild.faults.append(f"byte {data_end.offset}: the data's checksum is wrong; the place is unknown")
     is_closed = data_end is not None and scanner.is_closed(data_end) and data_end.crc in {0, rebuild.crc}
     return FileSurvey(
         is_whole=is_closed and not rebuild.faults,
@@ -100,14 +100,14 @@ def survey(stream: BinaryIO, size: int) -> FileSurvey:
 
 
 def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
-    """Write a whole file with all that is good in a damaged one."""
+    """Write a whole file with the good data of a damaged one."""
     scanner = Scanner(stream, size)
     rebuild = _Rebuild(sink, read_summary(stream), has_checks=scanner.has_checks)
     first = scanner.piece(FIRST_RECORD)
     parsed = first.parsed if isinstance(first, ProvenRecord) else None
     profile = parsed.profile if isinstance(parsed, records.Header) else ""
     header = encode(records.Header(profile=profile, library=library))
-    # A check behind one record says that all have one: so all of the copy have it, or none.
+    # Either all records of the copy have a check, or none.
     rebuild.put(MAGIC + (checked(header) if scanner.has_checks else header))
     for found in scanner.scan():
         if isinstance(found, ProvenChunk) or (isinstance(found, ProvenRecord) and found.raw[0] != CHECK_OPCODE):
@@ -116,22 +116,22 @@ def copy_good(stream: BinaryIO, size: int, sink: Sink, library: str) -> None:
 
 
 class _Rebuild:
-    """Follows the good pieces of a file, into a copy if there is one."""
+    """Collects the good pieces of a file, and copies them to a sink, if there is one."""
 
     def __init__(self, sink: Sink | None, repeated: LogSummary | None, *, has_checks: bool) -> None:
         self.summary = Summary()
         self.faults: list[str] = []
-        self.trailing = b""  # message indexes that the last chunk lacks in its file
+        self.trailing = b""  # message indexes missing behind the last chunk
         self.crc = 0 if sink is not None else zlib.crc32(MAGIC)
         self._size = 0 if sink is not None else len(MAGIC)
         self._sink = sink
         self._has_checks = has_checks
-        self._repeated = repeated  # the end of the file, which repeats schemas and channels
+        self._repeated = repeated  # the file's summary, which repeats schemas and channels
         self._schemas: dict[int, records.Schema] = {0: _NO_SCHEMA}
         self._channels: set[int] = set()
 
     def put(self, data: bytes) -> None:
-        """These bytes are part of the result."""
+        """Add bytes to the result."""
         self.crc = zlib.crc32(data, self.crc)
         self._size += len(data)
         if self._sink is not None:
@@ -142,7 +142,7 @@ class _Rebuild:
         return self.summary.ending(self._size, self.crc)
 
     def take(self, piece: ProvenChunk | ProvenRecord) -> None:
-        """A piece is part of the result, as far as it makes sense."""
+        """Add a piece to the result, as far as its channels are known."""
         self.trailing = b""
         if isinstance(piece, ProvenChunk):
             self._take_chunk(piece)
@@ -186,7 +186,7 @@ class _Rebuild:
         self.summary.add_messages({channel_id: 1}, log_ns, log_ns)
 
     def _knows(self, channel_id: int) -> bool:
-        """Return True if the data holds the channel, or the summary repeats it: a copy takes it from there."""
+        """Return True if the data or the summary holds the channel; from the summary, a copy takes it over."""
         if channel_id not in self._channels and self._repeated and channel_id in self._repeated.channels:
             channel = self._repeated.channels[channel_id]
             schema = self._repeated.schemas.get(channel.schema_id)
@@ -194,7 +194,7 @@ class _Rebuild:
                 encoded = encode(record)
                 self.put(checked(encoded) if self._has_checks else encoded)
                 self._declare(record)
-            self.faults.append(f"the data holds the channel of {channel.topic} no more")
+            self.faults.append(f"the channel of {channel.topic} is only in the summary")
         return channel_id in self._channels
 
     def _take_chunk(self, piece: ProvenChunk) -> None:
@@ -207,7 +207,7 @@ class _Rebuild:
             self.faults.append(f"byte {piece.offset}: the channels of {lost} messages are lost")
             content = self._known(content)
             if not content:
-                # The checksum of nothing is 0, which is MCAP's word for none.
+                # The checksum of no bytes is 0, which means "no checksum" in MCAP.
                 return
             index, _ = index_content(content)
             chunk = _chunk_of(content, index)
@@ -226,7 +226,7 @@ class _Rebuild:
             self.summary.add_chunk(chunk, offset, len(data), index)
 
     def _known(self, content: bytes) -> bytes:
-        """The records of a chunk, without messages of channels that nobody knows."""
+        """The records of a chunk without messages of unknown channels."""
         kept = bytearray()
         for opcode, start, end in split(content):
             if opcode != MESSAGE_OPCODE or MESSAGE_HEADER.unpack_from(content, start)[2] in self._channels:

@@ -1,7 +1,7 @@
 """The summary at the end of an MCAP file, read without the mcap package's object for each chunk.
 
-The index of chunks is most of it: some 300 bytes for each, 200 MB of a log of 10 GB. It is read in blocks, and
-only when it is asked for.
+Most of it is the index of chunks: about 300 bytes a chunk, 200 MB for a log of 10 GB. It is read in blocks, on
+demand.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
     Attributes:
         start_ns, end_ns: log times of its first and last message.
         places: offsets of each channel's message index, as MCAP's map: ``place_map`` reads it.
-        indexes_length: bytes of these behind the chunk.
-        packed, unpacked: bytes of its records, as they are in the file and as they were.
+        indexes_length: bytes of the message indexes.
+        packed, unpacked: bytes of its records.
     """
 
     start_ns: int
@@ -54,7 +54,7 @@ class IndexedChunk(msgspec.Struct, frozen=True, gc=False):
         return dict(_MAP_ENTRY.iter_unpack(self.places))
 
     def digest(self) -> int:
-        """A number that two descriptions of a chunk have in common if they say the same."""
+        """A hash of the whole description."""
         facts = (self.start_ns, self.end_ns, self.offset, self.length, self.indexes_length)
         sizes = (self.compression, self.packed, self.unpacked)
         return hash((facts, sizes, frozenset(self.place_map().items())))
@@ -70,11 +70,10 @@ class LogSummary(msgspec.Struct):
 
     Attributes:
         start, end: its place in the file; the footer begins at its end.
-        offset_start: the beginning of its own offsets; 0 if it has none.
-        crc: its checksum, by the footer; 0 if it has none.
-        statistics: None if it holds none.
-        groups: the place of each kind of record, as it states it.
-        chunks_at: beginning and end of each stretch of the index of chunks.
+        offset_start: the beginning of its summary offsets; 0 if it has none.
+        crc: its checksum in the footer; 0 if it has none.
+        groups: its summary offsets: the stated place of each kind of record.
+        chunks_at: start and end of each part of the index of chunks.
     """
 
     start: int
@@ -98,19 +97,19 @@ class LogSummary(msgspec.Struct):
                         yield _indexed_chunk(body)
 
     def wrong_groups(self, stream: BinaryIO) -> Iterator[records.SummaryOffset]:
-        """The groups that are not where the summary says, or are not theirs alone."""
+        """The groups that are not at their stated place, or contain other records."""
         with parsing():
             for group in self.groups:
                 end = group.group_start + group.group_length
                 is_inside = self.start <= group.group_start <= end <= (self.offset_start or self.end)
                 found = _read_records(stream, group.group_start, end) if is_inside else iter([(0, 0, b"")])
-                # Some writers name groups that hold nothing.
+                # Some writers list empty groups.
                 if {opcode for opcode, _, _ in found} != ({group.group_opcode} if group.group_length else set()):
                     yield group
 
 
 def read_summary(stream: BinaryIO) -> LogSummary | None:
-    """Return the summary of a file; None if it has none that can be read, or its checksum is wrong."""
+    """Return the summary of a file; None if there is none, it cannot be read, or its checksum is wrong."""
     try:
         summary = _find(stream)
         if summary is None or not _is_intact(stream, summary):
@@ -122,7 +121,6 @@ def read_summary(stream: BinaryIO) -> LogSummary | None:
 
 
 def _find(stream: BinaryIO) -> LogSummary | None:
-    """By the footer."""
     size = stream.seek(0, SEEK_END)
     end = size - FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
@@ -148,7 +146,7 @@ def _is_intact(stream: BinaryIO, summary: LogSummary) -> bool:
 
 
 def _read_groups(stream: BinaryIO, summary: LogSummary) -> None:
-    """Reads all but the index of chunks, and passes over that where the summary says how long it is."""
+    """Read all but the index of chunks, which is skipped where its length is stated."""
     if summary.offset_start:
         for opcode, _, body in _read_records(stream, summary.offset_start, summary.end):
             if opcode == Opcode.SUMMARY_OFFSET:

@@ -1,11 +1,10 @@
 """Write an MCAP file (https://mcap.dev/spec) on any binary stream: channels, chunks, the summary at its end.
 
-Schemas and channels go into the data section itself, not into chunks, so that a damaged chunk costs its own
-messages alone. A record without a checksum in MCAP has a check of ours behind it. Each record, and each chunk with
+Schemas and channels go into the data section, not into chunks, so that a damaged chunk costs only its own
+messages. A record without a checksum in MCAP is followed by a check of our own. Each record, and each chunk with
 its indexes, is one write; after a failed write ``cut_back`` shortens the file to its last whole record.
 
-The summary is kept as bytes while the file grows, for a long log has many chunks. The recovery of an unfinished
-log writes its end in the same way.
+The summary grows as bytes with the file, because a long log has many chunks. Recovery uses it too.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ from recorder.mcap.framing import (
 class LogChannel(msgspec.Struct, frozen=True):
     """A channel of a log; ``schema_data`` is the serialised descriptor set of ``schema_name``.
 
-    What others have recorded may be in any encoding that MCAP's registry names, have metadata of its own, and no
-    schema at all: then the schema's encoding is empty, and so are its name and data.
+    Channels of other applications may have any encoding, metadata, and no schema: then its three fields are empty.
     """
 
     channel_id: int
@@ -55,10 +53,7 @@ class LogChannel(msgspec.Struct, frozen=True):
 
 
 NO_LIMIT: Final = 2**63
-
-
-INT64_MAX: Final = 2**63 - 1
-"""The latest time that a log may hold: many readers take MCAP's unsigned times for signed ones."""
+INT64_MAX: Final = 2**63 - 1  # latest time in a log: many readers take MCAP's unsigned times for signed ones
 
 
 def log_time(time_ns: int) -> int:
@@ -73,14 +68,13 @@ def message_record(channel_id: int, sequence: int, log_ns: int, publish_ns: int,
 
 
 def head_source(length: str) -> tuple[str, str]:
-    """The head of a message's record for code that packs it with the data at once.
+    """The head of a message's record for generated code that packs it together with the data.
 
     Args:
         length: an expression, the bytes of the data.
 
     Returns:
-        The format, as ``struct`` has it, and the first of the values, as source; those behind are expressions of
-        the channel's id, the sequence, the log time and the publish time.
+        The ``struct`` format, and the first values as source; channel id, sequence, log and publish time follow.
     """
     return HEAD_FORMAT, f"{MESSAGE_OPCODE}, {HEADER_IN_LENGTH} + {length}"
 
@@ -89,8 +83,8 @@ class Chunk(msgspec.Struct, frozen=True):
     """Messages ready to be written.
 
     Attributes:
-        index: per channel, log time and offset in ``records`` of each message, in turns.
-        start_ns: the earliest log time; ``end_ns`` the latest.
+        index: per channel, alternating log time and offset in ``records`` of each message.
+        start_ns, end_ns: the earliest and the latest log time.
     """
 
     records: bytearray
@@ -104,7 +98,7 @@ class Chunk(msgspec.Struct, frozen=True):
 
 
 class _Index(dict[int, "array[int]"]):
-    """Per channel, log time and offset of each message; a channel's begins when it is asked for."""
+    """An index as in ``Chunk``, with an empty array for each new channel."""
 
     def __missing__(self, channel_id: int) -> array[int]:
         index = self[channel_id] = array("Q")
@@ -112,14 +106,7 @@ class _Index(dict[int, "array[int]"]):
 
 
 class ChunkBuilder:
-    """Takes messages one by one; ``seal`` hands over what has come together and begins anew.
-
-    Args:
-        limit_bytes: at this size it is to be sealed; see ``is_full``.
-
-    Attributes:
-        index: per channel, log time and offset of each message in turns.
-    """
+    """Collects messages; ``seal`` returns them as a chunk. It ``is_full`` at ``limit_bytes``."""
 
     def __init__(self, limit_bytes: int = NO_LIMIT) -> None:
         self.limit_bytes = limit_bytes
@@ -170,15 +157,15 @@ _SUMMARY_ORDER: Final = (
 
 
 class Summary:
-    """Gathers what the end of a file says of its data."""
+    """Collects the summary at the end of a file."""
 
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
         self._start_ns: int | None = None
         self._end_ns = 0
-        # The records that the summary will hold, by kind, and how many of each there are.
+        # The records of the summary by kind, and their numbers.
         self._encoded = {opcode: bytearray() for opcode in _SUMMARY_ORDER}
-        self._records: Counter[int] = Counter()  # bytes of the last attachment's index
+        self._records: Counter[int] = Counter()
 
     @property
     def messages(self) -> int:
@@ -197,11 +184,11 @@ class Summary:
         self._add(Opcode.SCHEMA, encode(schema))
 
     def add_channels(self, encoded: Sequence[bytes]) -> None:
-        """Channels, each the first of its id, as they stand in the data."""
+        """Add encoded channels, each the first of its id."""
         self._add(Opcode.CHANNEL, *encoded)
 
     def add_messages(self, counts: Mapping[int, int], start_ns: int, end_ns: int) -> None:
-        """So many messages of each channel, of these log times."""
+        """Add the number of messages of each channel, and their first and last log time."""
         self._counts.update(counts)
         self._start_ns = start_ns if self._start_ns is None else min(self._start_ns, start_ns)
         self._end_ns = max(self._end_ns, end_ns)
@@ -215,11 +202,11 @@ class Summary:
         places: Mapping[int, int] | None = None,
         indexes_length: int = 0,
     ) -> None:
-        """A chunk at this offset of the file, its message indexes right behind it.
+        """Add a chunk at this offset of the file, directly followed by its message indexes.
 
         Args:
-            places: how far behind the offset each message index stands, and ``indexes_length`` their bytes;
-                None: as ``framing.encode_indexes`` puts them.
+            places: distance of each message index from the offset, ``indexes_length`` their total size; None: as
+                ``framing.encode_indexes`` puts them.
         """
         if places is None:
             places, end = {}, length
@@ -301,14 +288,14 @@ class Summary:
 
 COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 3
-"""zstd's own default: full chunks are a tenth smaller than at its fastest level, and it runs beside the loop."""
+"""zstd's default: full chunks are a tenth smaller than at its fastest level."""
 
 
 class LogStream(Protocol):
-    """A binary stream, buffered or not: ``write`` may take less than it is given."""
+    """A binary stream; ``write`` may write only a part."""
 
     def write(self, data: memoryview, /) -> int | None:
-        """Write some of the data; returns how many bytes, or None if none could be."""
+        """Write some of the data; returns the number of bytes, or None."""
 
     def seek(self, offset: int, /) -> int:
         """Go to an offset."""
@@ -318,11 +305,7 @@ class LogStream(Protocol):
 
 
 class McapFile:
-    """An MCAP file that is being written.
-
-    Args:
-        profile: the header's promise about the channels, by MCAP's registry; ours promise nothing.
-    """
+    """An MCAP file that is being written; ``profile`` is the header's, of MCAP's registry."""
 
     def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:
         self._is_finished = False
@@ -341,7 +324,7 @@ class McapFile:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of these bytes as they were given to the stream, hexadecimal."""
+        """SHA-256 of the bytes written, hexadecimal."""
         return self._sha256.hexdigest()
 
     @property
@@ -352,7 +335,7 @@ class McapFile:
         self.add_channels([channel])
 
     def add_channels(self, channels: Iterable[LogChannel]) -> None:
-        """Write channels, each with its schema unless that has been written, at once: there may be thousands."""
+        """Write channels, and their schemas that are new, in one write: there may be thousands."""
         channels = list(channels)
         data: list[bytes] = []
         encoded: list[bytes] = []
@@ -413,14 +396,14 @@ class McapFile:
         self._summary.add_metadata(record, start, len(encoded))
 
     def finish(self) -> None:
-        """Write what makes the file whole: the end of the data, the summary and the footer; but once."""
+        """Write the end of the data, the summary and the footer, once."""
         if self._is_finished:
             return
         self._write(self._summary.ending(self._size, self._data_crc))
         self._is_finished = True
 
     def cut_back(self) -> None:
-        """After a failed write: take the stream back to the end of the last whole record."""
+        """After a failed write: cut the stream back to the end of the last whole record."""
         self._stream.seek(self._size)
         self._stream.truncate()
 
@@ -429,7 +412,7 @@ class McapFile:
         while view:
             taken = self._stream.write(view)
             if not taken:
-                raise OSError(errno.EAGAIN, "the stream takes no bytes")
+                raise OSError(errno.EAGAIN, "the stream accepts no bytes")
             view = view[taken:]
         self._data_crc = zlib.crc32(data, self._data_crc)
         self._sha256.update(data)

@@ -1,6 +1,6 @@
-"""Objects of a store (S3, GCS, Azure, a directory, a server of HTTPS) and copies of logs of it.
+"""Objects of a store (S3, GCS, Azure, a directory, an HTTPS server) and local copies of its logs.
 
-- ``address``  what is an address, of which store and object, and what is asked of a store, without the library
-- ``store``    the questions to a store, and any that obstore knows
+- ``address``  addresses of objects, and the interface of a store, without the library
+- ``store``    the stores of obstore
 - ``cache``    copies of logs on this machine
 """

@@ -1,7 +1,4 @@
-"""Addresses of objects (``s3://BUCKET/PLACE`` and the like), and the questions that a store answers. Pure.
-
-Known without the library that does the asking.
-"""
+"""Addresses of objects (``s3://BUCKET/PLACE`` and the like), and the interface of a store. Pure."""
 
 from __future__ import annotations
 
@@ -14,11 +11,11 @@ import msgspec
 from schemas.command_line import plain
 
 SCHEMES: Final = ("s3://", "gs://", "az://", "file://", "https://", "http://")  # the stores that can be read
-UNLISTED: Final = ("https://", "http://")  # those that tell of one object at a time
+UNLISTED: Final = ("https://", "http://")  # those without lists of objects
 
 
 class StoreAddress(msgspec.Struct, frozen=True):
-    """An address of an object, or of a place that holds several."""
+    """The address of an object, or of a place with several."""
 
     url: str
 
@@ -42,12 +39,11 @@ class StoreAddress(msgspec.Struct, frozen=True):
         return StoreAddress(f"{self.url.rstrip('/')}/{name}")
 
 
-_SECRET: Final = re.compile(r"(?<=://)[^/]*@|(?<=\?).+")
-"""Name and password, and all behind the path, as of an address that somebody has signed."""
+_SECRET: Final = re.compile(r"(?<=://)[^/]*@|(?<=\?).+")  # name and password, and the query of a signed address
 
 
 def shown_url(url: str) -> str:
-    """Return an address for messages and notes: what may be a secret in it is masked."""
+    """Return an address for messages and notes, with possible secrets masked."""
     return plain(_SECRET.sub(lambda found: "***@" if found[0].endswith("@") else "***", url))
 
 
@@ -56,35 +52,31 @@ def is_address(text: str) -> bool:
 
 
 class StoreError(Exception):
-    """The store did not do what was asked: in a line. It may do it later."""
+    """The store failed or refused, perhaps temporarily; says why in one line."""
 
 
 class StoredObject(msgspec.Struct, frozen=True):
-    """An object, as the store has it.
-
-    Attributes:
-        e_tag: the store's own mark of its content, without quotes; empty if it has none.
-    """
+    """An object of a store; ``e_tag`` is without quotes, empty if it has none."""
 
     bytes: int
     e_tag: str
 
 
 class ListedObject(msgspec.Struct, frozen=True):
-    """An object of a list, which a store may answer as of a while ago; ``name`` is that within the place."""
+    """An object of a list, which may be out of date; ``name`` is relative to the place."""
 
     name: str
     bytes: int
 
 
 class Objects(Protocol):
-    """The objects of a place. Each method raises StoreError where it is not answered, or refused."""
+    """The objects of a place. Each method raises StoreError if the store does not respond, or refuses."""
 
     def look(self, name: str) -> StoredObject | None:
-        """Return length and mark of an object; None if there is none."""
+        """Return length and e_tag of an object; None if there is none."""
 
     def read(self, name: str, start: int, end: int, e_tag: str) -> bytes:
-        """Return a range of an object that still has this mark; any, where the mark is empty."""
+        """Return a range of an object that still has this e_tag; an empty one matches any."""
 
     def names(self) -> Iterator[ListedObject]:
-        """Return all objects of the place, and of those within it."""
+        """Return all objects of the place, at any depth."""

@@ -1,12 +1,11 @@
-"""Copies of logs of object stores on this machine, so that each is fetched once.
+"""Local copies of logs in object stores, so that each is fetched once.
 
-A copy is fetched in pieces, goes on where it was broken off, and counts once it is whole: of the length that the
-store says, and with the SHA-256 that its upload wrote down, if one did. Those not asked for longest go first.
+A copy is fetched in pieces, resumed after an interruption, and valid when it has the store's length and its
+manifest's SHA-256, if there is one. The least recently used copies are removed first.
 """
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import shutil
@@ -18,22 +17,19 @@ from typing import Final
 
 import msgspec
 
+from recorder.disk.log_names import lock_own
 from recorder.objects.address import Objects, StoreAddress, StoredObject, StoreError, shown_url
 from schemas.command_line import CommandError, ExitCode
 
 PIECE_BYTES: Final = 4 * 1024 * 1024  # the longest range of one request
-SMALL_MAX_BYTES: Final = 65_536  # a longer manifest, or signature, is none
-
-BESIDE: Final = (".json", ".sig")
-"""Endings of the objects beside a log: its upload's manifest, and its recorder's signature."""
-
+SMALL_MAX_BYTES: Final = 65_536  # a longer manifest or signature is ignored
+BESIDE: Final = (".json", ".sig")  # suffixes of a log's manifest and signature
 WAIT_S: Final = 0.1  # pause between two looks at a copy that another process is fetching
-
 PART: Final = ".fetched"
 
 
 class _Manifest(msgspec.Struct):
-    """The part of an upload's manifest that is read here."""
+    """The parts of an upload's manifest used here."""
 
     bytes: int
     sha256: str
@@ -45,16 +41,12 @@ def cache_directory(environment: Mapping[str, str], home: Path) -> Path:
 
 
 class LogCache:
-    """The copies in a directory.
-
-    Args:
-        limit_bytes: that they take together; a log that is asked about now stays.
-    """
+    """The copies in a directory, with a limit of their total size that does not affect logs in use."""
 
     def __init__(self, directory: Path, limit_bytes: int) -> None:
         self._directory = directory
         self._limit = limit_bytes
-        self._wanted: set[Path] = set()  # the copies that were asked for here
+        self._wanted: set[Path] = set()  # the copies in use
 
     def fetch(self, objects: Objects, place: StoreAddress, name: str, progress: Callable[[int], None]) -> Path:
         url = shown_url(place.join(name).url)
@@ -62,7 +54,6 @@ class LogCache:
             found = objects.look(name)
             if found is None:
                 raise CommandError(f"cannot read {url}: there is no such object")
-            # What is there under this mark is what was fetched under it.
             mark = f"{place.join(name).url}\0{found.bytes}\0{found.e_tag}"
             home = self._directory / hashlib.sha256(mark.encode()).hexdigest()[:32]
             self._wanted.add(home)
@@ -78,7 +69,7 @@ class LogCache:
             raise CommandError(f"cannot read {url}: {error}", ExitCode.UNREACHABLE) from error
         except OSError as error:
             raise CommandError(
-                f"cannot keep a copy of {url} in {self._directory}: {error.strerror or error}"
+                f"cannot store a copy of {url} in {self._directory}: {error.strerror or error}"
             ) from error
         return path
 
@@ -87,7 +78,7 @@ class LogCache:
     ) -> None:
         part = path.with_name(path.name + PART)
         with part.open("ab") as stream:
-            while not _lock(stream.fileno()):
+            while not lock_own(stream.fileno()):
                 progress(0)
                 time.sleep(WAIT_S)
             if path.exists():  # Another process has fetched it meanwhile.
@@ -108,11 +99,11 @@ class LogCache:
                     path.with_name(path.name + suffix).write_bytes(data)
             if (said := _sha256_of(path)) and said != _sha256(part):
                 part.unlink()
-                raise StoreError("it is not what was uploaded: its SHA-256 is another one than its manifest's")
+                raise StoreError("it differs from the upload: its SHA-256 is not its manifest's")
             part.rename(path)
 
     def _make_room(self, size: int) -> None:
-        """Remove copies that were not asked for longest, until another one of this length fits."""
+        """Remove the least recently used copies until another one of this size fits."""
         homes = sorted((one for one in self._directory.iterdir() if one.is_dir()), key=_asked_s)
         sizes = {home: _bytes_in(home) for home in homes}
         total = sum(sizes.values()) + size
@@ -124,19 +115,9 @@ class LogCache:
                 total -= sizes[home]
 
 
-def _lock(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        pass  # Without locks here two processes may fetch the same twice.
-    return True
-
-
 def _small(objects: Objects, name: str) -> bytes:
-    """A small object beside a log; empty if there is none, or a long one."""
-    # Who may not list a place is refused what is not there.
+    """A small object beside a log; empty if there is none, or it is too long."""
+    # Without the right to list, a missing object is an error.
     with suppress(StoreError):
         found = objects.look(name)
         if found is not None and 0 < found.bytes <= SMALL_MAX_BYTES:

@@ -1,6 +1,6 @@
-"""The objects of any store that obstore knows: S3, GCS, Azure, a directory, a server of HTTPS.
+"""The objects of obstore's stores: S3, GCS, Azure, a directory, an HTTPS server.
 
-Nothing waits for ever: a request is given up after ``REQUEST_S``, and asked again once.
+A request is given up after ``REQUEST_S``, and tried once more.
 """
 
 from __future__ import annotations
@@ -27,14 +27,11 @@ from obstore.store import ObjectStore, from_url
 from recorder.objects.address import ListedObject, StoreAddress, StoredObject, StoreError, shown_url
 from schemas.command_line import CommandError, ExitCode, plain, short
 
-REQUEST_S: Final = 30.0
-"""A request, with all that it carries, takes no longer; at most 4 MiB are asked for at once."""
-
+REQUEST_S: Final = 30.0  # time limit of a request for at most 4 MiB
 CONNECT_S: Final = 5.0
-
-RETRIES: Final = 1  # so often the library asks again within ``REQUEST_S``
-TRIES: Final = 2  # ...and so often a range is asked for: a link may break in its middle
-LISTED_MAX: Final = 1_000_000  # objects of a place that are looked at
+RETRIES: Final = 1  # of the library within ``REQUEST_S``
+TRIES: Final = 2  # requests for a range: a link may break in its middle
+LISTED_MAX: Final = 1_000_000  # objects of a place that are listed
 
 if TYPE_CHECKING:
     from obstore import GetOptions
@@ -45,8 +42,7 @@ _ADDRESS: Final = re.compile(r"https?://\S+")
 
 _REFUSED: Final = ("403 forbidden", "401 unauthorized", "credential", "imds")
 
-_GIVES_CREDENTIALS: Final = "//169.254.169.254/"
-"""Where the library asks for credentials if it was given none: a machine in a cloud has them there."""
+_GIVES_CREDENTIALS: Final = "//169.254.169.254/"  # where the library looks for a cloud machine's credentials
 
 _CREDENTIALS: Final = {
     "s3://": "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
@@ -98,24 +94,24 @@ class ObstoreObjects:
     def _range(self, name: str, start: int, end: int, e_tag: str) -> bytes:
         options: GetOptions = {"range": (start, end)}
         if e_tag and self._place.has_list:
-            # A plain server of files may know no conditions: its answer is looked at all the same.
+            # A plain file server may not support conditions: its answer is checked below.
             options["if_match"] = f'"{e_tag}"'
         try:
             found = obstore.get(self._store, name, options=options)
-            # A byte more than was asked for is enough to see that an answer goes on and on.
+            # One byte more shows an answer that is too long.
             data = bytes(next(iter(found.stream(end - start + 1)), b""))
         except (PreconditionError, NotFoundError, FileNotFoundError):
-            raise StoreError("it was changed or removed while it was read: ask again") from None
+            raise StoreError("it was changed or removed while it was read: try again") from None
         if e_tag and _mark(found.meta["e_tag"]) not in {"", e_tag}:
-            raise StoreError("it was changed or removed while it was read: ask again")
+            raise StoreError("it was changed or removed while it was read: try again")
         if len(data) != end - start:
             sent = f"{len(data)} bytes" if len(data) < end - start else "more"
-            raise StoreError(f"the store sent {sent} where {end - start} were asked for: ask again")
+            raise StoreError(f"the store sent {sent} instead of {end - start}: try again")
         return data
 
     @contextmanager
     def _errors(self) -> Generator[None, None, None]:
-        """Raise one StoreError, with the cure, for whatever the library reports."""
+        """Turn the library's errors into a StoreError with a cure."""
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError, PermissionError) as error:
@@ -129,12 +125,12 @@ class ObstoreObjects:
 
 
 def _with_cure(line: str) -> str:
-    # Ports and names of logs may have any of these words in them.
+    # The address may contain any of these words.
     said = _ADDRESS.sub("", line).lower()
     if _GIVES_CREDENTIALS in line or any(word in said for word in _REFUSED):
         return f"{line}: give credentials that may read it"
     if any(word in said for word in ("timed out", "timeout", "connect", "sending request", "dns")):
-        return f"{line}: is the store's endpoint right, and the network there?"
+        return f"{line}: check the store's endpoint and the network"
     return line
 
 
@@ -150,12 +146,7 @@ def open_store(
     *,
     may_make: bool,
 ) -> ObjectStore:
-    """Open the store at a URL; the network is not asked for that.
-
-    Args:
-        url: as obstore has them: s3://BUCKET/PLACE, gs://, az://, file:///DIRECTORY, https://.
-        may_make: a directory is made where there is none.
-    """
+    """Open the store at a URL of obstore, without using the network. ``may_make`` creates a missing directory."""
     config = dict(options)
     client["allow_http"] = bool(config.pop("allow_http", False))
     # Options of S3, GCS and Azure have different types.
@@ -175,6 +166,6 @@ def open_store(
 
 
 def line_of(error: Exception) -> str:
-    """The first line of an error of the library, without its count of retries: behind it stand its own insides."""
+    """The first line of an error of the library, without its count of retries; the rest is internal."""
     line = _RETRIES.sub(": ", str(error).partition("\n")[0]).rstrip(": ")
     return short(plain(line or type(error).__name__))

@@ -1,7 +1,6 @@
-"""The channels of a log, and the account of what was sent, received, written and lost. Pure.
+"""The channels of a log, and its counts of samples sent, received, written and lost. Pure.
 
-A sample is looked up by its key, and an event's second form by the key of the event: two maps, because both may
-want the same topic. A sample that somebody publishes as ``KEY/log`` is not taken for that second form.
+Samples and event lines (``KEY/log``) have two maps, both by key: a sample published as ``KEY/log`` is no line.
 """
 
 from __future__ import annotations
@@ -23,26 +22,25 @@ from schemas.settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.subjects import Subject
 
 COMPLETENESS_NAME: Final = "cruiser.completeness"
-"""The metadata record with a ``KeyReport`` of each topic, as JSON: what was received and lost during this file."""
+"""Metadata record with each topic's ``KeyReport`` for this file, as JSON."""
 
 OTHER_KEYS: Final = "**"
-"""The key of a gap that stands for keys beyond the limit, and for keys that are too long to be remembered."""
+"""The key of a gap that stands for keys beyond the limit, and for keys that are too long."""
 
 
 class KeyReport(msgspec.Struct, frozen=True):
-    """The way of one key, from its source into the log.
+    """Counts of one key, from its source into the log.
 
-    Samples are counted up to the recorder's queue, messages of the log from there on: a batch of raw frames is one
-    sample and many messages.
+    Up to the recorder's queue it counts samples, then messages: a batch of raw frames is one sample and many
+    messages.
 
     Attributes:
-        sent: samples that the source sent, by their sequence; None where the sequence says nothing.
-        lost_bus: frames lost between chassis and gateway, by their alive counters; None where the gateway's health
-            does not report them.
-        lost_queue: samples that the recorder dropped unread, as too many waited.
-        lost_size: samples that are larger than the recorder may record.
-        lost_full: messages that came while the disk could hold no more.
-        lost_disk: messages that the disk did not take or keep.
+        sent: by the sequence; None where the source has none.
+        lost_bus: frames lost between chassis and gateway, by alive counters; None if the gateway reports none.
+        lost_queue: dropped from a full queue.
+        lost_size: larger than the recorder may record.
+        lost_full: received while the disk was full.
+        lost_disk: not stored by the disk.
     """
 
     sent: int | None = None
@@ -82,7 +80,7 @@ def report(counters: KeyCounters, *, counts_sequence: bool) -> KeyReport:
 
 
 def since(now: KeyReport, before: KeyReport) -> KeyReport:
-    """Subtract an earlier report. Never below 0: what one file missed may have come in the next."""
+    """Subtract an earlier report. Never below 0: a later file may hold what an earlier one missed."""
     first = msgspec.structs.asdict(before)
     change: dict[str, Any] = {
         name: None if value is None else max(0, value - (first[name] or 0))
@@ -101,22 +99,18 @@ def total(reports: Iterable[KeyReport]) -> KeyReport:
 
 
 class LossReport:
-    """Gaps that are to be reported: those of one place, key and reason become one.
-
-    Args:
-        keys_max: gaps that are kept apart; those of further keys are one gap of the key ``OTHER_KEYS``.
-    """
+    """Gaps to report, merged by place, key and reason. Beyond ``keys_max`` all keys share ``OTHER_KEYS``."""
 
     def __init__(self, keys_max: int) -> None:
         self._keys_max = keys_max
         self._gaps: dict[tuple[str, str, GapReason], RecordGap] = {}
 
     def lose(self, place: str, key: str, reason: GapReason, count: int, first_ns: int, last_ns: int) -> None:
-        """Add samples or messages of a key that were lost between these times of receipt, since 1970."""
+        """Add lost samples or messages of a key, received between these times since 1970."""
         self.add(place, RecordGap(0, 0, key, reason, log_time(first_ns), log_time(last_ns), count))
 
     def add(self, place: str, gap: RecordGap) -> None:
-        """Add a gap. One that is merged has time and sequence of the newest."""
+        """Add a gap. A merged gap has time and sequence of the newest."""
         key = gap.key
         is_new = (place, key, gap.reason) not in self._gaps
         if len(key) > KEY_MAX_LENGTH or (is_new and len(self._gaps) >= self._keys_max):
@@ -137,26 +131,25 @@ class LossReport:
         return gaps
 
 
-OVERFLOW_TOPIC: Final = "@more"  # the topic of the channel that all keys share for which there is no other
+OVERFLOW_TOPIC: Final = "@more"  # the topic that all keys beyond the limit share
 
 RESERVED_LINE_CHUNK: Final = "@log"
-"""Events as viewers list them go to ``{key}/@log`` where ``{key}/log`` is somebody's key; no key goes there."""
+"""Event lines go to ``{key}/@log`` where ``{key}/log`` is a sample's key; no sample's key ends so."""
 
 
 class ChannelQuota(Enum):
-    """The channels among which a new one counts: keys that anybody makes up must not take the place of others."""
+    """The quota that a new channel counts against: made-up keys must not displace others."""
 
     OTHER = auto()
     TABLE = auto()
     OWN = auto()
 
 
-LIMITS: Final = {ChannelQuota.OTHER: CHANNEL_LIMIT, ChannelQuota.TABLE: TABLE_CHANNEL_LIMIT}
-"""Channels of each quota. What the recorder itself publishes has no limit."""
+LIMITS: Final = {ChannelQuota.OTHER: CHANNEL_LIMIT, ChannelQuota.TABLE: TABLE_CHANNEL_LIMIT}  # OWN has none
 
 
 class Channels:
-    """The channels of a log by key: its only memory of keys, and a bounded one."""
+    """The channels of a log by key; bounded."""
 
     def __init__(self, declare: Callable[[LogChannel], None]) -> None:
         self._declare = declare
@@ -205,11 +198,11 @@ class Channels:
         return route
 
     def declare_raw(self, key: str) -> Route:
-        """The route of the broken samples of a known key."""
+        """The route of a known key's undecodable samples."""
         return self.declare(f"{key}/{RAW_CHUNK}", None, "")
 
     def declare_line(self, key: str, quota: ChannelQuota) -> Route | None:
-        """The route of a key's events as viewers list them; None if the quotas are used up."""
+        """The route of a key's event lines; None if the quotas are used up."""
         route = self._lines.get(key)
         if route is None and self._use(quota):
             topic = f"{key}/{LOG_CHUNK}"
@@ -220,7 +213,7 @@ class Channels:
         return route
 
     def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
-        """Count messages of these channels that are in no log. Without a reason they are no loss."""
+        """Count unwritten messages of these channels. Without a reason they are no loss."""
         topics = {}
         for channel_id, count in counts.items():
             counters = self._by_id[channel_id - 1].counters
@@ -231,12 +224,12 @@ class Channels:
         return topics
 
     def _is_line(self, topic: str) -> bool:
-        """True if a topic is one of a line, or is kept free for one."""
+        """True if a topic is one of event lines, or reserved for them."""
         key, _, chunk = topic.rpartition("/")
         return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
 
     def _use(self, quota: ChannelQuota) -> bool:
-        """Use one more channel of a quota, or else of the one for keys that anybody may make up. False if full."""
+        """Use one more channel of a quota, or else of OTHER. False if both are full."""
         for one in (quota, ChannelQuota.OTHER):
             limit = LIMITS.get(one)
             if limit is None or self._used[one] < limit:

@@ -1,7 +1,6 @@
-"""Actions that a recorder asks of the disk and of Zenoh, and the disk's notices and its own. Pure.
+"""Actions of a recorder for the disk and Zenoh, the disk's notices, and the recorder's announcements. Pure.
 
-An action on a log is one object all the way: ``RobotLog`` makes it, it waits in the queue of the disk, and its
-``write_to`` writes it into the file.
+``RobotLog`` makes an action on a log, the disk's queue holds it, and its ``write_to`` writes it into the file.
 """
 
 from __future__ import annotations
@@ -16,40 +15,36 @@ from schemas.decisions import Severity
 from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
 
 INCIDENT_MARK: Final = "!"
-"""Behind a log's name this makes the name of the log of its incidents. No robot's name holds it."""
+"""Suffix of a log's name that names the log of its incidents. No robot's name holds it."""
 
-ACTION_BYTES: Final = 100  # memory that an action takes besides what it carries
+ACTION_BYTES: Final = 100  # memory of an action besides its content
 
 
 class LogAction(msgspec.Struct, frozen=True):
-    """Something to do on the files of one log, in the order of the actions.
-
-    Attributes:
-        log: the log's name. A log is no file: its files follow each other.
-    """
+    """An operation on the files of the log called ``log``, in order."""
 
     log: str
 
     @property
     def bytes(self) -> int:
-        """Memory that it takes while it waits."""
+        """Memory while it waits."""
         return ACTION_BYTES
 
     @property
     def is_repeated(self) -> bool:
-        """True if every file that continues the present one begins with it again."""
+        """True if every later file of the log begins with it again."""
         return False
 
     def write_to(self, file: McapFile) -> None:
-        """Write the record that it stands for, if it stands for one."""
+        """Write its record, if it has one."""
 
 
 class OpenLog(LogAction, frozen=True):
-    """Begin a file, and repeat in it what the files before it declared.
+    """Begin a file, and repeat the declarations of earlier files.
 
     Attributes:
         wall_ns: the time in the file's name, since 1970.
-        is_incident: the file repeats what the log called ``name`` has declared.
+        is_incident: the file repeats the declarations of the log called ``name``.
     """
 
     name: str
@@ -75,7 +70,7 @@ class DeclareChannel(LogAction, frozen=True):
 
 
 class WriteChunk(LogAction, frozen=True):
-    """Write these messages."""
+    """Write a chunk of messages."""
 
     chunk: Chunk
 
@@ -88,11 +83,7 @@ class WriteChunk(LogAction, frozen=True):
 
 
 class WriteMetadata(LogAction, frozen=True):
-    """Write a metadata record.
-
-    Attributes:
-        lasts: the files that continue this one repeat it.
-    """
+    """Write a metadata record; if it ``lasts``, later files of the log repeat it."""
 
     name: str
     entries: dict[str, str]
@@ -131,26 +122,25 @@ class WriteAttachment(LogAction, frozen=True):
 
 
 class SyncLog(LogAction, frozen=True):
-    """Have all that is written reach the disk."""
+    """Sync the file to the disk."""
 
 
 class CloseLog(LogAction, frozen=True):
-    """Make the file whole."""
+    """Finish the file."""
 
     def write_to(self, file: McapFile) -> None:
         file.finish()
 
 
 QUERIES_PER_TICK: Final = 8
-"""Queries in one tick at most, however many robots turn up at once: one takes a router and the recorder as long as
-several samples do."""
+"""Most queries in one tick: each costs the router and the recorder as much time as several samples."""
 
 
 class Query(msgspec.Struct, frozen=True):
-    """Query a key. The replies are samples, and marked as replies.
+    """Query a key; the replies come as samples.
 
     Attributes:
-        first: of the samples that the gateway keeps, those from this sequence on; None asks for the present one.
+        first: query the gateway's stored samples from this sequence on; None queries the current one.
     """
 
     key: str
@@ -163,18 +153,18 @@ class Publish(msgspec.Struct, frozen=True):
     message: RecorderEvent | RecordGap
 
 
-Action = LogAction | Query | Publish  # whatever a recorder asks for
+Action = LogAction | Query | Publish
 
 
 class Opened(msgspec.Struct, frozen=True):
-    """A file of a log was begun; ``file`` is its name without the directory, as it will be when it is whole."""
+    """A file of a log was begun; ``file`` is its final name without the directory."""
 
     log: str
     file: str
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """A file of a log is whole, or as whole as it could be made."""
+    """A file of a log was ended."""
 
     log: str
     file: str
@@ -182,10 +172,10 @@ class Ended(msgspec.Struct, frozen=True):
 
 
 class Lost(msgspec.Struct, frozen=True):
-    """Messages of each channel that the disk did not take or keep, received between these times since 1970.
+    """Messages of each channel that the disk lost, received between these times since 1970.
 
     Attributes:
-        file: somebody has removed it with them, while it was written; empty if they were in none.
+        file: the file removed with them while it was written; empty if they were in none.
     """
 
     log: str
@@ -196,41 +186,37 @@ class Lost(msgspec.Struct, frozen=True):
 
 
 class DiskFault(msgspec.Struct, frozen=True):
-    """The disk takes nothing; the recorder tries on."""
+    """The disk cannot be written; the recorder retries."""
 
     detail: str
 
 
 class DiskBack(msgspec.Struct, frozen=True):
-    """The disk takes the logs again."""
+    """The disk can be written again."""
 
 
 class Deleted(msgspec.Struct, frozen=True):
-    """A log was deleted for want of room."""
+    """A log was deleted to free disk space."""
 
     file: str
     bytes: int
 
 
 class Moved(msgspec.Struct, frozen=True):
-    """The directory of the logs is not the one any more in which they were begun."""
+    """The directory in which the logs were begun was moved or removed."""
 
     path: str
 
 
 class Recovered(msgspec.Struct, frozen=True):
-    """A log that was left unfinished is whole now, as ``file``."""
+    """An unfinished log was recovered as ``file``."""
 
     file: str
     messages: int
 
 
 class DiskRoom(msgspec.Struct, frozen=True):
-    """A change of what the disk may hold.
-
-    Attributes:
-        roll: the logs are to be ended, so that they may be deleted.
-    """
+    """A change of the disk's free space; ``roll`` asks to end the open logs, so that they may be deleted."""
 
     has_room: bool
     has_incident_room: bool
@@ -241,7 +227,7 @@ Notice = Opened | Ended | Lost | DiskFault | DiskBack | Deleted | Moved | Recove
 
 
 class Announcement(msgspec.Struct, frozen=True):
-    """Something that people are to know; see ``schemas.recording.RecorderEvent``."""
+    """News for people; see ``schemas.recording.RecorderEvent``."""
 
     kind: RecorderEventKind
     severity: Severity
@@ -254,23 +240,23 @@ class Announcement(msgspec.Struct, frozen=True):
 FULL: Final = Announcement(
     RecorderEventKind.FULL,
     Severity.ERROR,
-    "recording has stopped: the disk may hold no more, and nothing that may be deleted would be enough",
+    "recording stopped: the disk is full, and deleting old logs would not free enough space",
 )
-ROOM: Final = Announcement(RecorderEventKind.FULL, Severity.INFO, "there is room on the disk again")
+ROOM: Final = Announcement(RecorderEventKind.FULL, Severity.INFO, "recording resumed: there is free disk space")
 
 
 def incident_begun(file: str, because: str) -> Announcement:
-    text = f"{file} keeps what came before and after: {because}"
+    text = f"incident recorded in {file}: {because}"
     return Announcement(RecorderEventKind.INCIDENT, Severity.WARNING, text, file)
 
 
 def incident_refused(robot: str, because: str) -> Announcement:
-    text = f"the disk may hold no more incidents, so none is kept of {robot}: {because}"
+    text = f"incident of {robot} not recorded, the disk space for incidents is used up: {because}"
     return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text)
 
 
 def incident_cut(robot: str, file: str) -> Announcement:
-    text = f"the disk may hold no more incidents, so the one that was being written of {robot} has ended early"
+    text = f"incident of {robot} ended early: the disk space for incidents is used up"
     return Announcement(RecorderEventKind.INCIDENT, Severity.ERROR, text, file)
 
 
@@ -281,21 +267,21 @@ def other_version(robot: str, subject: str, what: str) -> Announcement:
 def announcement_of(notice: Notice) -> Announcement | None:
     match notice:
         case DiskFault():
-            return Announcement(RecorderEventKind.DISK, Severity.ERROR, f"the disk takes no logs: {notice.detail}")
+            return Announcement(RecorderEventKind.DISK, Severity.ERROR, f"logs cannot be written: {notice.detail}")
         case DiskBack():
-            return Announcement(RecorderEventKind.DISK, Severity.INFO, "the disk takes the logs again")
+            return Announcement(RecorderEventKind.DISK, Severity.INFO, "logs can be written again")
         case Lost(file=file) if file:
             count = sum(notice.counts.values())
-            text = f"somebody has removed {file} while it was written: {count} messages are gone with it"
+            text = f"{file} was removed while it was written: {count} messages lost"
             return Announcement(RecorderEventKind.DISK, Severity.ERROR, text, file)
         case Deleted():
-            text = f"{notice.file} was deleted for want of room: {notice.bytes} bytes"
+            text = f"{notice.file} was deleted to free disk space: {notice.bytes} bytes"
             return Announcement(RecorderEventKind.DELETED, Severity.INFO, text, notice.file)
         case Moved():
-            text = f"somebody has moved or removed {notice.path}: what was being written ends where it is now"
+            text = f"{notice.path} was moved or removed: the open logs are ended, and new ones begun"
             return Announcement(RecorderEventKind.DISK, Severity.WARNING, text)
         case Recovered():
-            text = f"{notice.file} was left unfinished, and is whole now: {notice.messages} messages"
+            text = f"unfinished log recovered as {notice.file}: {notice.messages} messages"
             return Announcement(RecorderEventKind.RECOVERED, Severity.INFO, text, notice.file)
         case _:
             return None

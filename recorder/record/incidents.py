@@ -1,11 +1,10 @@
-"""Incidents, and gateways that were lost. Pure.
+"""Incidents, and lost gateways. Pure.
 
-A ring holds the newest chunks of the log. When something happens they are written into a file of its own, and what
-follows for a while. Another alarm makes that while longer, up to a bound, so that a recurring fault makes no
-endless file.
+A ring holds the newest chunks of the log. An alarm writes them into an incident file, with the chunks that follow
+for some time. Another alarm extends that time, up to a limit.
 
-A gateway whose liveliness token is gone may live: the token also goes with the link, and anybody may declare one.
-So the recorder waits for the arbiter's states, and a gateway whose states go on lives.
+A gateway whose liveliness token is gone may be alive: the token is also lost with the link, and is not
+authenticated. The recorder waits for the arbiter's states: while they continue, the gateway is alive.
 """
 
 from __future__ import annotations
@@ -24,26 +23,26 @@ from schemas.decisions import ArbiterState, SafetyState, is_same_run
 from schemas.settings import INCIDENT_MAX_NS
 
 INCIDENT_NAME: Final = "cruiser.incident"
-"""The metadata record that links a log and an incident: in each the file of the other, when, and why."""
+"""Metadata record that links a log and an incident: the other's file, the time, and the reason."""
 
 
 class Incidents:
-    """The ring of one log, and the incident that is being written of it. Methods return what is to be done.
+    """The ring of one log, and its open incident. Methods return the actions to take.
 
     Args:
-        before_ns: an incident holds so much of what came before it.
-        after_ns: an incident lasts so long after the last alarm.
+        before_ns: length of the record before an incident.
+        after_ns: an incident ends this long after the last alarm.
     """
 
     def __init__(self, name: str, before_ns: int, after_ns: int) -> None:
-        self.log = name + INCIDENT_MARK  # the name of the log of the incidents
+        self.log = name + INCIDENT_MARK
         self._name = name
         self._before_ns, self._after_ns = before_ns, after_ns
         self._ring: deque[tuple[int, Chunk]] = deque()
         self.ring_bytes = 0  # bytes of the messages in the ring
         self._begun_ns = 0
         self._until_ns: int | None = None
-        self.about: dict[str, str] = {}  # the start and cause of the latest incident, in the form of INCIDENT_NAME
+        self.about: dict[str, str] = {}  # start and cause of the latest incident, as in INCIDENT_NAME
 
     @property
     def is_open(self) -> bool:
@@ -56,7 +55,7 @@ class Incidents:
 
     @property
     def oldest_ns(self) -> int | None:
-        """The arrival time of the ring's oldest chunk, monotonic nanoseconds; None if the ring is empty."""
+        """Arrival time of the ring's oldest chunk, monotonic; None if the ring is empty."""
         return self._ring[0][0] if self._ring else None
 
     def trim(self, now_ns: int) -> None:
@@ -70,7 +69,7 @@ class Incidents:
         return size
 
     def begin(self, now_ns: int, wall_ns: int, because: str, file: str) -> list[LogAction]:
-        """Begin an incident. One that is being written lasts longer instead, and nothing is to be done."""
+        """Begin an incident, or extend the open one, which takes no action."""
         if self._until_ns is not None:
             self._until_ns = min(now_ns + self._after_ns, self._begun_ns + INCIDENT_MAX_NS)
             return []
@@ -85,7 +84,7 @@ class Incidents:
         ]
 
     def link_to(self, file: str) -> list[LogAction]:
-        """Name the file in which the log continues, if an incident is being written."""
+        """Name the file in which the log continues, if an incident is open."""
         return [self._link_to(file)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:
@@ -102,7 +101,7 @@ class Incidents:
 
 
 def trim_rings(all_incidents: Iterable[Incidents], now_ns: int, limit_bytes: int) -> None:
-    """Forget what is too old for an incident that would begin now, and the oldest of all if it is too much."""
+    """Drop chunks too old for an incident that begins now, and the oldest of all rings beyond the limit."""
     total_bytes = 0
     rings = list(all_incidents)
     for ring in rings:
@@ -120,11 +119,8 @@ def trim_rings(all_incidents: Iterable[Incidents], now_ns: int, limit_bytes: int
             heappush(heads, (oldest_ns, number))
 
 
-WAIT_NS: Final = 500_000_000  # the time without a state that counts as silence: states come every 50 ms
-
-LIVES_NS: Final = 10_000_000_000
-"""A gateway that still publishes states so long after its token went is alive. States that merely waited for a
-busy recorder come sooner."""
+WAIT_NS: Final = 500_000_000  # time without a state that counts as silence: states come every 50 ms
+LIVES_NS: Final = 10_000_000_000  # a gateway with states this long after its token went is alive
 
 
 class LostGateway(msgspec.Struct, frozen=True):
@@ -132,8 +128,8 @@ class LostGateway(msgspec.Struct, frozen=True):
 
     Attributes:
         key: of its ``safety/state``.
-        lost_ns: when its token went, monotonic.
-        was_commanding: it commanded the chassis when its last state came.
+        lost_ns: time of the token's loss, monotonic.
+        was_commanding: it commanded the chassis at its last state.
     """
 
     key: str
@@ -150,18 +146,13 @@ class _Waiting(msgspec.Struct, frozen=True):
 
 
 class LostGateways:
-    """The tokens that are gone, until their gateways are known to be dead or alive."""
+    """Lost tokens, until their gateways are known to be dead or alive."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, _Waiting] = {}
 
     def lose_token(self, key: str, latest: Latest, ended: Callable[[], int | None], now_ns: int) -> None:
-        """Note that a gateway's token is gone.
-
-        Args:
-            ended: returns the tick at which the gateway last reported that it shuts down; None if it
-                never did.
-        """
+        """Note a lost token. ``ended`` returns the tick of the gateway's last report of a shutdown, if any."""
         if isinstance(latest.message, SafetyState):
             self._waiting.setdefault(key, _Waiting(latest, latest.message, ended, now_ns))
 
@@ -182,6 +173,6 @@ class LostGateways:
             was_commanding, ended_tick = last.state is not ArbiterState.STANDBY, waiting.ended()
             if not was_commanding and ended_tick is not None and is_same_run(ended_tick, last.tick):
                 continue
-            told = f", and told {last.output_speed_mps:.2f} m/s" if was_commanding else ""
-            text = f"the gateway died, or the link to it: its token is gone, and it was {last.state.value}{told}"
+            told = f" at {last.output_speed_mps:.2f} m/s" if was_commanding else ""
+            text = f"the gateway or the link to it died: its token is gone; last state {last.state.value}{told}"
             yield LostGateway(key, waiting.lost_ns, text, was_commanding)

@@ -1,6 +1,6 @@
-"""The questions that a recorder answers from afar, ``status`` and ``mark``, and the replies. Pure.
+"""The remote requests to a recorder, ``status`` and ``mark``, and the replies. Pure.
 
-Nobody signs them: whoever reaches the recorder may ask. So marks are bounded: see ``MARKS_AT_ONCE``.
+Requests are unsigned: any client may send them. So marks are bounded: see ``MARKS_AT_ONCE``.
 """
 
 from __future__ import annotations
@@ -16,22 +16,17 @@ from schemas.codec import PayloadFault
 from schemas.recording import Mark, RecorderHealth, RecorderReply, RecorderState
 from schemas.requests import Request
 
-REPLY_NS: Final = 2_000_000_000  # the longest wait of a reply for the disk; one that ends so says so
+REPLY_NS: Final = 2_000_000_000  # longest wait of a reply for the disk
 
 MARKS_AT_ONCE: Final = 6
-"""Marks that may follow each other closely. Their incidents take room that those of a fault may need."""
+"""Marks in a burst: their incidents take disk space that incidents of faults may need."""
 
 MARK_EVERY_NS: Final = 300_000_000_000
-"""After them one more is taken in so long: a flood of marks keeps a fifth of what is recorded at most."""
+"""Interval of further marks: a flood of them preserves at most a fifth of the recording."""
 
 
 class OperatorRequest(msgspec.Struct, frozen=True):
-    """A request, and how to answer it.
-
-    Attributes:
-        request: the request, or the fault of the payload.
-        reply: sends the reply, of which there must be one.
-    """
+    """A request, or the fault of its payload; ``reply`` must be called once."""
 
     operator: str
     request: Request | PayloadFault
@@ -39,7 +34,7 @@ class OperatorRequest(msgspec.Struct, frozen=True):
 
 
 class _Pending(msgspec.Struct):
-    """A reply to a mark that waits until files of these logs are opened."""
+    """A reply to a mark that waits for files of these logs to be opened."""
 
     asked: OperatorRequest
     awaits: set[str]
@@ -48,11 +43,7 @@ class _Pending(msgspec.Struct):
 
 
 class Orders:
-    """Executes requests on a recorder.
-
-    Args:
-        has_mark_room: returns whether marks may take more of the budget.
-    """
+    """Executes requests on a recorder; ``has_mark_room`` returns whether marks may use more disk space."""
 
     def __init__(
         self, recorder: Recorder, health: Callable[[], RecorderHealth], has_mark_room: Callable[[], bool]
@@ -61,10 +52,10 @@ class Orders:
         self._health = health
         self._has_mark_room = has_mark_room
         self._pending: list[_Pending] = []
-        self._spent_to_ns = 0  # the time until which the marks that were taken have used up what is allowed
+        self._spent_to_ns = 0  # the accepted marks use up the allowance until this time
 
     def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
-        """Do what a request asks. Nothing in a request raises."""
+        """Execute a request. Nothing in a request raises."""
         match asked.request:
             case PayloadFault():
                 self._answer(asked, asked.request.detail, [], ok=False)
@@ -75,7 +66,7 @@ class Orders:
         return ()
 
     def receive_notice(self, notice: Notice) -> None:
-        """Note a file that was opened: a reply may wait for that."""
+        """Note an opened file: a reply may wait for it."""
         if not isinstance(notice, Opened):
             return
         for one in self._pending:
@@ -87,19 +78,19 @@ class Orders:
         due = [one for one in self._pending if not one.awaits or now_ns >= one.until_ns]
         for one in due:
             self._pending.remove(one)
-            late = "; the disk has not done it yet" if one.awaits else ""
-            self._answer(one.asked, f"an incident keeps what came before and after{late}", sorted(one.files))
+            late = "; not yet on disk" if one.awaits else ""
+            self._answer(one.asked, f"incident recorded{late}", sorted(one.files))
 
     def _mark(self, asked: OperatorRequest, mark: Mark, now_ns: int, wall_ns: int) -> Sequence[Action]:
         spent_to_ns = max(now_ns, self._spent_to_ns)
         wait_ns = spent_to_ns - now_ns - (MARKS_AT_ONCE - 1) * MARK_EVERY_NS
         if wait_ns > 0:
-            self._answer(asked, f"too many marks; the next one is taken in {wait_ns / 1e9:.0f} s", [], ok=False)
+            self._answer(asked, f"too many marks; try again in {wait_ns / 1e9:.0f} s", [], ok=False)
             return ()
-        # On a full disk the reserve is for incidents of faults.
+        # On a full disk the reserve is for the incidents of faults.
         is_full = self._recorder.state is RecorderState.FULL
         if is_full or not self._recorder.has_incident_room or not self._has_mark_room():
-            self._answer(asked, "the disk has no more room for marks", [], ok=False)
+            self._answer(asked, "the disk space for marks is used up", [], ok=False)
             return ()
         because = f"mark by {asked.operator}: {mark.text}" if mark.text else f"mark by {asked.operator}"
         marked, actions = self._recorder.mark(mark.robot, because, now_ns, wall_ns)
@@ -110,8 +101,8 @@ class Orders:
             self._pending.append(_Pending(asked, awaits, now_ns + REPLY_NS, opened))
             self.tick(now_ns)
         else:
-            whose = f"of {mark.robot} " if mark.robot else ""
-            self._answer(asked, f"nothing {whose}has been heard", [], ok=False)
+            whose = f" from {mark.robot}" if mark.robot else ""
+            self._answer(asked, f"no data received{whose}", [], ok=False)
         return actions
 
     def _answer(self, asked: OperatorRequest, detail: str, files: list[str], *, ok: bool = True) -> None:
@@ -120,6 +111,6 @@ class Orders:
 
 _STATES: Final = {
     RecorderState.RECORDING: "recording",
-    RecorderState.STOPPED: "standing by: nothing is written but incidents",
-    RecorderState.FULL: "the disk may hold no more: nothing is written but incidents",
+    RecorderState.STOPPED: "standing by: recording incidents only",
+    RecorderState.FULL: "disk full: recording incidents only",
 }

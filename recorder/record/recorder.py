@@ -1,8 +1,7 @@
 """The recorder: samples, ticks, marks and notices in, actions out. Pure.
 
-Begin with ``Recorder.receive``, which finds the log by the key; then read ``robot_log``. ``SampleInbox`` bounds
-what waits by its bytes: the oldest go first, and are counted. ``HealthReport`` is what the recorder says of
-itself.
+Begin with ``Recorder.receive``, which finds the log by the key; then read ``robot_log``. ``SampleInbox`` is
+bounded in bytes: it drops the oldest samples, and counts them. ``HealthReport`` makes the recorder's health.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from schemas.settings import OWNED_KEY_LIMIT, ROBOT_LIMIT
 from schemas.subjects import BY_TYPE, LIVELINESS_CHUNK
 
-SAMPLE_BYTES: Final = 500  # memory that a sample takes besides its payload and key, about
+SAMPLE_BYTES: Final = 500  # approximate memory of a sample besides its payload and key
 
 
 class SampleInbox:
@@ -58,7 +57,7 @@ class SampleInbox:
         return len(self._waiting)
 
     def put(self, sample: ReceivedSample) -> list[tuple[str, int]]:
-        """Have a sample wait. Returns key and receipt of those that are dropped for it, which may be itself."""
+        """Queue a sample. Returns key and time of receipt of each sample dropped for it (it may be itself)."""
         size = len(sample.payload) + len(sample.attachment) + len(sample.key) + SAMPLE_BYTES
         self._waiting.append((copy(sample), size))
         self.bytes += size
@@ -85,12 +84,10 @@ class SampleInbox:
 REPORT_LOSSES_NS: Final = 1_000_000_000  # losses are reported once a second
 
 QUICK_BYTES: Final = 65_536
-"""A larger payload takes the slow path, where the time is looked at after each: it may take long to decode."""
+"""A larger payload takes the slow path, which checks the time after each sample: it may be slow to decode."""
 
-TICK_LOGS: Final = 50  # logs that are looked after in one tick, or a part of all in TICK_TURNS
-
-TICK_TURNS: Final = 4
-"""Ticks in which all logs have had their turn: a thousand in one tick would take all the time."""
+TICK_LOGS: Final = 50  # logs served in one tick, if all fit into TICK_TURNS
+TICK_TURNS: Final = 4  # ticks in which every log is served once: a thousand in one tick would take too long
 
 
 class RecorderPlan(msgspec.Struct, frozen=True):
@@ -98,8 +95,8 @@ class RecorderPlan(msgspec.Struct, frozen=True):
 
     Attributes:
         per_robot: a log for each robot; else one for all.
-        log: of each log. Its name is that of the log for all, and of the log for what is no robot's.
-        log_limit: robots beyond it share one log, but for those that are known.
+        log: of each log; its name is that of the shared log.
+        log_limit: robots beyond it share one log, except known ones.
     """
 
     root: str
@@ -114,7 +111,7 @@ class RecorderPlan(msgspec.Struct, frozen=True):
 
 
 class Recorder:
-    """Writes the logs of the robots; each method returns what is to be done."""
+    """Writes the logs of the robots; each method returns the actions to take."""
 
     def __init__(self, plan: RecorderPlan) -> None:
         self._plan = plan
@@ -134,7 +131,7 @@ class Recorder:
             for kind in (RecorderEvent, RecordGap)
         }
         """The topic of each kind of message that it publishes."""
-        self._own_keys = frozenset(self._own_topics.values())  # a sample from there is in the logs already
+        self._own_keys = frozenset(self._own_topics.values())  # samples on these are in the logs already
 
     @property
     def state(self) -> RecorderState:
@@ -148,7 +145,7 @@ class Recorder:
         for log in self._logs.values():
             for topic, report in log.channels.counts.items():
                 reports[topic].append(report)
-        # Few are in several logs: what the recorder itself says, and what is beyond the limits.
+        # Few topics are in several logs: the recorder's own, and keys beyond the limits.
         return {topic: found[0] if len(found) == 1 else total(found) for topic, found in reports.items()}
 
     @property
@@ -161,12 +158,12 @@ class Recorder:
 
     @property
     def files(self) -> dict[str, str]:
-        """The files that are being written, without their directory, by their log; no incidents."""
+        """Names of the open files by log, without directory and without incidents."""
         return {log.name: log.file for log in self._logs.values() if log.file}
 
     @property
     def writing(self) -> set[str]:
-        """The logs of which a file is being written, whether the disk has begun it yet or not."""
+        """The logs with an open file, even if the disk has not begun it yet."""
         return {log.name for log in self._logs.values() if log.is_open}
 
     @property
@@ -184,13 +181,11 @@ class Recorder:
     def receive(
         self, samples: Iterable[ReceivedSample], now_ns: int, is_late: Callable[[], bool] = lambda: False
     ) -> Sequence[Action]:
-        """Record samples, each received when it says. They may hold anything: nothing in them raises.
-
-        Nearly all take the fast path of their key, see ``fast_path``; the others through ``receive_sample``.
+        """Record samples; nothing in them raises. Nearly all take the fast path of their key.
 
         Args:
-            samples: if it is an iterator, what there was no time for is still in it.
-            is_late: the time is over, asked after each sample that may have taken long.
+            samples: from an iterator, samples beyond the time limit are not taken.
+            is_late: the time limit is reached; asked after each slow sample.
         """
         fast_paths, limit_bytes = self._context.fast_paths, min(QUICK_BYTES, self._plan.sample_max_bytes)
         for sample in samples:
@@ -219,7 +214,7 @@ class Recorder:
             log.find_fast_path(key)
 
     def lose_token(self, key: str, now_ns: int) -> None:
-        """Note that a gateway's liveliness token is gone. If it has died, ``tick`` makes an incident of that."""
+        """Note that a gateway's liveliness token is gone. If the gateway has died, ``tick`` begins an incident."""
         robot = key.removesuffix(f"/{LIVELINESS_CHUNK}")
         state_key, event_key = (f"{robot}/{BY_TYPE[kind].name}" for kind in (SafetyState, SafetyEvent))
         log = self._by_key.get(state_key)
@@ -247,7 +242,7 @@ class Recorder:
         return self._take_actions()
 
     def ask(self, now_ns: int, most: int = QUERIES_PER_TICK) -> Sequence[Action]:
-        """Query what is due, of all logs together at most so much: each in its turn; what is left stays due."""
+        """Return the due queries of all logs in turn, at most ``most``; the rest stay due."""
         for _ in range(len(self._askers) if self._is_ending else min(len(self._askers), self._part)):
             if most <= 0:
                 break
@@ -258,17 +253,17 @@ class Recorder:
         return self._take_actions()
 
     def roll(self, reason: str, now_ns: int) -> Sequence[Action]:
-        """End all files; the next samples begin others. See ``RobotLog.roll`` for how soon."""
+        """End all files; the next samples begin others. See ``RobotLog.roll`` for the shortest time between."""
         for log in self._logs.values():
             log.roll(reason, now_ns)
         return self._take_actions()
 
     def mark(self, robot: str, because: str, now_ns: int, wall_ns: int) -> tuple[dict[str, str], Sequence[Action]]:
-        """Make an incident, of one log or of all.
+        """Begin or extend an incident of one log, or of all.
 
         Returns:
-            Of each log whose incident begins or continues the name of the incidents' log and the incident's file,
-            which is empty until it is opened; and what is to be done. Nothing if there is no such log, or no room.
+            The incident's file by the incident log's name (empty until it is opened), and the actions. Both empty
+            if there is no such log, or no space.
         """
         if not self.has_incident_room:
             return {}, ()
@@ -296,7 +291,7 @@ class Recorder:
         return self._take_actions()
 
     def ask_last(self, now_ns: int) -> None:
-        """Have what is worth asking once more before ``close`` be due."""
+        """Make the last queries before ``close`` due."""
         self._is_ending = True
         for log in self._logs.values():
             log.ask_last(now_ns)
@@ -311,7 +306,7 @@ class Recorder:
         return self._take_actions()
 
     def _due(self) -> list[RobotLog]:
-        """The logs whose turn it is: all, or of very many a part at a time."""
+        """The logs to serve in this tick: all, or a part of very many."""
         logs = list(self._logs.values())
         if len(logs) <= TICK_LOGS:
             return logs
@@ -321,7 +316,7 @@ class Recorder:
 
     @property
     def _part(self) -> int:
-        """So many logs have their turn in one tick."""
+        """Number of logs to serve in one tick."""
         return max(TICK_LOGS, -(-len(self._logs) // TICK_TURNS))
 
     def _find_log(self, key: str) -> RobotLog:
@@ -380,7 +375,7 @@ class Recorder:
                 log.pause(reason, now_ns)
             elif log.is_paused and not is_paused:
                 log.resume(now_ns)
-        # Only now: what was in hand came before.
+        # Only now: the chunks handed over came before.
         self._context.left_out = GapReason.FULL if self.state is RecorderState.FULL else None
 
     def _report_losses(self, now_ns: int, wall_ns: int) -> None:
@@ -434,7 +429,7 @@ SECOND_NS: Final = 1_000_000_000
 
 
 class Vitals(msgspec.Struct, frozen=True):
-    """Figures from the disk and the inbox, which ``RecorderHealth`` has under the same names."""
+    """Figures from the disk and the inbox, with the names of ``RecorderHealth``."""
 
     files: int = 0
     files_ended: int = 0
@@ -462,7 +457,7 @@ class HealthReport:
         return now_ns - self._last_ns >= SECOND_NS
 
     def next(self, recorder: Recorder, vitals: Vitals, cpu_ns: int, now_ns: int, wall_ns: int) -> RecorderHealth:
-        """The health of the second that has passed; ``cpu_ns`` is what the process has used by now."""
+        """The health of the past second; ``cpu_ns`` is the process's CPU time so far."""
         span_ns = max(1, now_ns - self._last_ns)
         self._cpu_percent = max(0, cpu_ns - self._cpu_ns) * 100 / span_ns
         self._sequence = (self._sequence + 1) % SEQUENCE_SPAN
@@ -472,9 +467,9 @@ class HealthReport:
         return msgspec.structs.replace(health, received_per_s=self._received_per_s)
 
     def now(self, recorder: Recorder, vitals: Vitals, now_ns: int, wall_ns: int) -> RecorderHealth:
-        """The health as it is, with the rates of the last whole second."""
+        """The current health, with the rates of the last whole second."""
         if recorder.state is not self._state:
-            # What it does at first, it does since the start.
+            # The first state counts from the start.
             self._state_since_ns = self._started_ns if self._state is None else now_ns
             self._state = recorder.state
         lost: Counter[GapReason] = Counter()

@@ -1,11 +1,13 @@
-"""Retention: the logs that are deleted when the disk is full, and the room to go on. Pure.
+"""Retention: the logs to delete when the disk is full, and whether recording may continue. Pure.
 
-Each robot has a fair share: the oldest log of the robot that takes most goes first. Anybody on the network can
-make up robots, so where robots are known by name, all others have one share together, and the last hours of a
-known one go only when nothing else is left. In all of this, what is safe elsewhere goes before what is not.
-Incidents go only when they are old and safe elsewhere, and then as logs do: the others may fill INCIDENT_SHARE of
-the budget, and the reserve below the floor is theirs. When all that may go would not be enough, nothing goes, and
-recording stops until somebody makes room: what others fill a disk with must not cost the logs that there are.
+- Each robot has a fair share: the oldest log of the robot with the largest share is deleted first. Robot names are
+  untrusted: where known robots are configured, all others have one share together, and the last hours of a known
+  robot are deleted last.
+- Uploaded logs are deleted before others.
+- Incidents are deleted like logs once they are old and uploaded. The others may fill INCIDENT_SHARE of the budget,
+  and the reserve below the floor.
+- If deleting everything deletable would not free enough, nothing is deleted, and recording stops until there is
+  space: other data on the disk must not cost existing logs.
 """
 
 from __future__ import annotations
@@ -21,14 +23,11 @@ import msgspec
 
 from schemas.settings import INCIDENT_FLOOR_SHARE, INCIDENT_SHARE
 
-RESUME_SHARE: Final = 0.02
-"""A stopped recording resumes when so much of budget or floor is free beyond it, or it would flutter."""
-
-ROLL_BYTES: Final = 100_000
-"""Logs that are being written are ended, so that they may go, when they take so much together."""
+RESUME_SHARE: Final = 0.02  # hysteresis: share of budget and floor that must be free before recording resumes
+ROLL_BYTES: Final = 100_000  # open logs are ended, so that they may be deleted, from this total size on
 
 START_FORMAT: Final = "%Y%m%dT%H%M%SZ"  # the format of the start in a log's name
-OTHERS: Final = ""  # the share of all robots that are not known, where some are
+OTHERS: Final = ""  # the share of all unknown robots, where some are known
 
 
 class LogEntry(msgspec.Struct, frozen=True):
@@ -36,10 +35,10 @@ class LogEntry(msgspec.Struct, frozen=True):
 
     Attributes:
         started: the UTC start in its name, which sorts by time.
-        number: of several files of one name and second; the first has none, which is 1.
-        is_open: it is being written, or a recorder left it and it is not recovered yet.
+        number: of several files of one name and second, from 1.
+        is_open: it is being written, or is not recovered yet.
         is_own: this recorder is writing it, and can end it.
-        is_stuck: it could not be deleted: it takes its room, and others go in its place.
+        is_stuck: it could not be deleted.
         is_safe: an upload has verified that a store holds it.
         age_s: since its last change.
     """
@@ -58,13 +57,13 @@ class LogEntry(msgspec.Struct, frozen=True):
 
 
 class DiskLimits(msgspec.Struct, frozen=True):
-    """The room that logs may take; 0 is no limit.
+    """The disk space that logs may take; 0 is no limit.
 
     Attributes:
         floor_bytes: that stay free on the file system.
-        known: robots that are known by name; empty if none are.
-        keep_s: the last so many seconds of each of those go only when nothing else is left.
-        keep_incidents_s: an incident that is safe elsewhere goes only when it is this old.
+        known: names of the known robots.
+        keep_s: the last seconds of each known robot, which are deleted last.
+        keep_incidents_s: age from which an uploaded incident may be deleted.
     """
 
     budget_bytes: int = 0
@@ -74,16 +73,12 @@ class DiskLimits(msgspec.Struct, frozen=True):
     keep_incidents_s: float = 0.0
 
     def share_of(self, robot: str) -> str:
-        """By whose share a log counts."""
+        """The share that a robot's log counts against."""
         return robot if not self.known or robot in self.known else OTHERS
 
 
 class Judgement(msgspec.Struct, frozen=True):
-    """The decision about the disk.
-
-    Attributes:
-        roll: end what is being written, so that it may go later.
-    """
+    """The decision about the disk; ``roll``: end the open logs, so that they may be deleted later."""
 
     delete: tuple[str, ...]
     has_room: bool
@@ -92,10 +87,10 @@ class Judgement(msgspec.Struct, frozen=True):
 
 
 def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, is_full: bool) -> Judgement:
-    """Decide what is deleted, and what may be written."""
+    """Decide which logs to delete, and what may be written."""
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
-    # What is said of robots that nobody knows is no reason to keep it for ever, and what is safe need not stay.
+    # Incidents of unknown robots, and old uploaded ones, count as logs.
     entries = [
         msgspec.structs.replace(entry, is_incident=False)
         if _is_of_stranger(entry, limits) or _is_safe_incident(entry, limits)
@@ -111,7 +106,7 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
     for entry in logs:
         takes[limits.share_of(entry.robot)] += entry.bytes
     order = _in_turn(loose, takes, limits)
-    # What is written now may go once it is ended; while that is worth it, recording need not stop.
+    # Open logs may be deleted once they are ended: if that frees enough, recording continues.
     own = [entry for entry in logs if entry.is_own]
     roll = _is_worth(wanted, loose, [entry for entry in own if entry.name not in kept])
     if not roll:
@@ -146,7 +141,7 @@ def _bytes(entries: Iterable[LogEntry]) -> int:
 
 
 def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[LogEntry]) -> bool:
-    """True if there is room enough only when what is being written has gone, too, and it is no trifle."""
+    """True if only deleting the open logs too would free enough, and they reach ROLL_BYTES."""
     closed_bytes, open_bytes = _bytes(closed), _bytes(being_written)
     return closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
 
@@ -156,19 +151,19 @@ def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
 
 
 def _is_safe_incident(entry: LogEntry, limits: DiskLimits) -> bool:
-    """True if it may go as a log. Somebody who looks after the robot has had time to see that it is elsewhere."""
+    """True of an uploaded incident that is old enough to be deleted."""
     return entry.is_incident and entry.is_safe and not entry.is_open and entry.age_s >= limits.keep_incidents_s
 
 
 def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
-    """Return the deletable logs in turn, what is safe elsewhere first. ``takes`` has the bytes of each share."""
+    """Return the deletable logs in order, uploaded ones first. ``takes`` has the bytes of each share."""
     logs = list(entries)
     for is_safe in (True, False):
         yield from _oldest_of_largest((one for one in logs if one.is_safe is is_safe), takes, limits)
 
 
 def _oldest_of_largest(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:
-    """Return them in turn: the oldest of the largest share. ``takes`` has the bytes left of each."""
+    """Return the oldest log of the largest share, repeatedly. ``takes`` has the bytes left of each share."""
     shares: dict[str, deque[LogEntry]] = defaultdict(deque)
     for entry in sorted(entries, key=_age):
         shares[limits.share_of(entry.robot)].append(entry)
@@ -186,9 +181,9 @@ def _age(entry: LogEntry) -> tuple[str, int, str]:
 
 
 def _last_hours(logs: Iterable[LogEntry], limits: DiskLimits) -> set[str]:
-    """The names of the logs that hold the last hours of a known robot: back from where its newest begins.
+    """Names of the logs with the last hours of known robots, back from the start of each robot's newest log.
 
-    A log reaches as far as the next one begins.
+    A log ends where the next one begins.
     """
     kept: set[str] = set()
     robots: dict[str, list[LogEntry]] = defaultdict(list)
@@ -208,7 +203,7 @@ def _last_hours(logs: Iterable[LogEntry], limits: DiskLimits) -> set[str]:
 
 
 def _before(started: str, seconds: float) -> str:
-    """So long before that start. The same, where that is no time."""
+    """The start minus some seconds; unchanged if it is no time."""
     with suppress(ValueError, OverflowError):
         start = datetime.strptime(started, START_FORMAT).replace(tzinfo=UTC)
         return (start - timedelta(seconds=seconds)).strftime(START_FORMAT)

@@ -1,9 +1,9 @@
-"""The log of one robot, without I/O: samples in, actions on the log's files and on those of its incidents out.
+"""The log of one robot, without I/O: samples in, actions on the log's files and its incidents' files out.
 
-``receive_sample`` finds the sample's route by its key, decodes it, and appends protobuf records to the chunk in
-hand; what fits no subject is kept whole. ``tick`` hands the chunk over before ``flush_ns`` of the log are at risk,
-and ends a file that is long enough; the next sample begins the next one. While no file is written, chunks go into
-the ring of the incidents alone.
+``receive_sample`` finds the route by the sample's key, decodes the sample, and appends protobuf records to the
+current chunk; a sample that fits no subject is recorded as it is. ``tick`` hands the chunk over in time for
+``flush_ns``, and ends a file that is long enough; the next sample begins another. While no file is open, chunks go
+into the incidents' ring only.
 """
 
 from __future__ import annotations
@@ -60,34 +60,32 @@ if TYPE_CHECKING:
     from recorder.record.signed_mode import StatementProofs
 
 INFO_MAX_BYTES: Final = 1_000_000
-"""A gateway's answer that is larger is recorded like any sample, but not kept for every further file."""
+"""A larger answer of a gateway is recorded like any sample, but not repeated in later files."""
 
 ROLL_MIN_NS: Final = 1_000_000_000
-"""The shortest life of a file that is ended for its size, as what each file repeats may already be that large; and
-the shortest time between two files, however often another one is asked for."""
+"""Shortest age of a file ended for its size, and shortest time between two requested files."""
 
 CONTINUED_NAME: Final = "cruiser.continued"
-"""The metadata record with the number of a log's file, and why the file before it ended."""
+"""Metadata record with the number of a log's file, and why the file before it ended."""
 
 STANDING_MPS: Final = 0.05  # a robot that reads a lower speed stands
 
 LATEST_NAME: Final = "cruiser.latest"
-"""The metadata record with the newest state of each topic when this file began, as JSON, with its log time.
+"""Metadata record with each topic's newest state when this file began, as JSON, with its log time.
 
-No message of a channel: no message may be there twice when the files of a log are put together.
+Not messages: joining the files of a log must not repeat a message.
 """
 
 GAPS_MAX: Final = 10_000  # gaps of all logs that wait to be reported
 
 PENDING_EVENTS_MAX: Final = 1000
-"""Events of the recorder that wait for the next file of a log; beyond it the oldest go."""
+"""Recorder events that wait for a log's next file; the oldest beyond it are dropped."""
 
-PENDING_GAPS_MAX: Final = 1000
-"""Gaps that wait for the next file of a log: a disk may be full for as long as it likes."""
+PENDING_GAPS_MAX: Final = 1000  # gaps that wait for a log's next file
 
 ANNOUNCEMENTS_MAX: Final = 1000
 
-VERSIONS_SAID_MAX: Final = 32  # announcements of what other versions send; the words in them are the sender's
+VERSIONS_SAID_MAX: Final = 32  # announcements of samples from other versions
 
 
 class LogPlan(msgspec.Struct, frozen=True):
@@ -95,13 +93,12 @@ class LogPlan(msgspec.Struct, frozen=True):
 
     Attributes:
         chunk_bytes: a chunk is handed over at this size.
-        flush_ns: at most this much of the log is at risk.
-        rotate_bytes: a file that has reached this size is ended; 0 is never.
-        rotate_ns: a file that was begun so long ago is ended; 0 is never.
-        idle_ns: a file in which nothing was written for so long is ended; 0 is never.
-        before_ns: an incident holds so much of what came before it.
-        after_ns: an incident lasts so long after the last alarm.
-        proofs: makes what verifies statements, if the recorder knows the fleet's authority.
+        flush_ns: at most this much of the log is lost in a crash.
+        rotate_bytes, rotate_ns, idle_ns: end a file at this size, at this age, or after this long without a
+            message; 0 is never.
+        before_ns: length of the record before an incident.
+        after_ns: an incident ends this long after the last alarm.
+        proofs: makes the verifier of statements, if the recorder has the fleet's authority.
     """
 
     name: str
@@ -121,10 +118,8 @@ class LogContext:
     """State that the logs of a recorder share.
 
     Attributes:
-        actions: what is to be done, in this order.
-        losses: what is lost, by log, until it is reported.
-        fast_paths: by key; see ``fast_path``.
-        left_out: why chunks are not written while no file is; None is no loss.
+        losses: by log, until they are reported.
+        left_out: why chunks are not written while no file is open; None is no loss.
     """
 
     def __init__(self) -> None:
@@ -151,33 +146,33 @@ class RobotLog:
         self.statements = Statements(plan.name, None if plan.proofs is None else plan.proofs())
         self._backlog = Backlog()
         self._counted: dict[str, KeyReport] = {}
-        """The reports at the end of the file before: the next file counts from there."""
+        """Reports at the end of the previous file, from which the next one counts."""
         self._fast_keys: list[str] = []  # its keys that take the fast path, while a file is written
         self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
         self._pending_gaps = LossReport(PENDING_GAPS_MAX)
         self._versions_said: set[str] = set()
         self.ended_ticks: dict[str, int] = {}
-        """The ticks at which gateways reported that they were told to end, by the key of their events."""
-        self.is_open = False  # a file was asked for, and is not ended, whether the disk has begun it yet or not
+        """Ticks at which gateways reported a shutdown, by the key of their events."""
+        self.is_open = False  # a file is requested and not ended; the disk may not have begun it yet
         self.is_paused = False  # no file is written, and none begun
-        self.file = ""  # the file that is being written, without its directory; empty if there is none, or not yet
-        self.incident_file = ""  # the same of an incident
-        self._is_incident_announced = True  # true if the latest incident has been opened, and that was announced
-        self._linked_incident = ""  # the incident that the present file of the log names
+        self.file = ""  # name of the open file without its directory; empty if there is none yet
+        self.incident_file = ""  # likewise of the incident
+        self._is_incident_announced = True
+        self._linked_incident = ""  # the incident named in the current file
         self._files = 0
-        self._is_awaited = False  # the disk has not begun the file yet: it is not ended for the sake of another
+        self._is_awaited = False  # the disk has not begun the file yet: it must not be ended
         self._opened_ns = self._received_ns = 0
         self._rolled_ns: int | None = None
-        self._roll_wanted = ""  # the reason to end the file as soon as may be; empty if there is none
+        self._roll_wanted = ""  # reason to end the file as soon as possible; empty if there is none
         self._ended_by = ""
         self._at_risk_since_ns: int | None = None
-        # Half for what comes together, half for the ticks, the write and the sync.
+        # Half to collect messages, half for the ticks, the write and the sync.
         self._patience_ns = plan.flush_ns // 2
 
     # Samples
 
     def receive_sample(self, sample: ReceivedSample, now_ns: int, wall_ns: int) -> None:
-        """Record a sample. It may hold anything: nothing in it raises."""
+        """Record a sample. Never raises, whatever the sample holds."""
         log_ns = log_time(wall_ns)
         if not self.is_open and not self.is_paused:
             self._open(now_ns, log_ns)
@@ -197,7 +192,7 @@ class RobotLog:
             self.hand_over(now_ns)
 
     def find_fast_path(self, key: str) -> None:
-        """Have the samples of a key take the fast path, if it has one; see ``fast_path``."""
+        """Put a key on its fast path, if it has one."""
         paths, route = self._context.fast_paths, self.channels.get(key)
         if not self.is_open or route is None or key in paths or len(paths) >= OWNED_KEY_LIMIT:
             return
@@ -212,7 +207,7 @@ class RobotLog:
         self._context.losses.lose(self.name, key, reason, 1, wall_ns, wall_ns)
 
     def add_own(self, topic: str, message: RecorderEvent | RecordGap, now_ns: int) -> None:
-        """Record what the recorder itself reports; while no file is open, in the next one."""
+        """Record a message of the recorder's own; if no file is open, in the next one."""
         if self.is_open:
             route = self.channels.declare(topic, BY_TYPE[type(message)], "", ChannelQuota.OWN)
             log_ns = log_time(message.time_ns)
@@ -227,7 +222,7 @@ class RobotLog:
             self._pending_gaps.add(topic, message)
 
     def _follow(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> bool:
-        """Count a message, and act on what it says. False if the log has it already."""
+        """Count a message, and act on its content. False if the log has it already."""
         if sample.is_reply and route.is_kept:
             was_missing, was_counted = self._backlog.receive_reply(sample.key, message.sequence, sample.payload)
             if was_counted:
@@ -247,7 +242,7 @@ class RobotLog:
         return True
 
     def _keep_raw(self, sample: ReceivedSample, reason: str, route: Route, now_ns: int, log_ns: int) -> None:
-        """Record a sample as it is. What is known of it counts all the same: a newer version may have sent it."""
+        """Record a sample as it is, and count what can be decoded: a newer version may have sent it."""
         newer = route.understand(sample)
         if newer is not None and not self._follow(sample, newer.message, route, now_ns, log_ns):
             return
@@ -273,12 +268,12 @@ class RobotLog:
         source, sequence = sample.source or ("", 0)
         if source and route.subject is None:
             route.counters.count_source(source, sequence)
-        # Without a time of the source's, the receipt's is the best there is.
+        # Without a source time, use the time of receipt.
         records = [(time_ns or log_ns, keep_raw(sample, reason, time_ns))]
         self._add(route, sequence % SEQUENCE_SPAN, now_ns, log_ns, records)
 
     def _add(self, route: Route, sequence: int, now_ns: int, log_ns: int, records: Sequence[Record]) -> None:
-        """Append the records of a sample. A chunk is handed over as soon as it is full: many more may follow."""
+        """Append the records of a sample, and hand each full chunk over."""
         for publish_ns, data in records:
             if self._chunk.is_full:
                 self.hand_over(now_ns)
@@ -297,7 +292,7 @@ class RobotLog:
         self._add(route, event.sequence, now_ns, log_ns, [(event.time_ns, log_record(event, name))])
 
     def _watch(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> None:
-        """Act on a message that means something to the recorder itself."""
+        """Act on a message that concerns the recorder itself."""
         if isinstance(message, CanFrames):
             route.counters.dropped = max(route.counters.dropped, message.dropped)
         elif isinstance(message, GatewayInfo):
@@ -313,7 +308,7 @@ class RobotLog:
             self._add_line(sample.key, message, now_ns, log_ns, ChannelQuota.TABLE)
             if message.kind is EventKind.GATEWAY:
                 self.ended_ticks[sample.key] = message.tick
-            # An event that a gateway had kept is long past.
+            # A replayed event is long past.
             is_alarm = message.kind in self._plan.alarms and message.severity is not Severity.INFO
             is_grave = message.severity is Severity.ERROR or not self._is_idle(sample.key)
             if is_alarm and is_grave and not sample.is_reply:
@@ -331,7 +326,7 @@ class RobotLog:
 
     def _count_bus(self, key: str, health: GatewayHealth) -> None:
         parts = keys.parse(key)
-        # Each name once: somebody may send a hundred thousand.
+        # Each name once: the list may hold a hundred thousand.
         for name, lost in {frame.name: frame.lost for frame in health.feedback}.items():
             subject = BY_DBC_MESSAGE.get(name)
             if parts is not None and subject is not None:
@@ -355,7 +350,7 @@ class RobotLog:
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
         self.statements.tick()
         if self._at_risk_since_ns is None and len(self._chunk):
-            # What took the fast path since the last tick.
+            # Samples that took the fast path since the last tick.
             self._at_risk_since_ns = self._received_ns = now_ns
         if self._chunk.is_full:
             self.hand_over(now_ns)
@@ -370,10 +365,7 @@ class RobotLog:
             self.end_incident(now_ns)
 
     def roll(self, reason: str, now_ns: int) -> None:
-        """End the file, if one is open; the next sample begins another.
-
-        However often that is asked for, files do not become many: requests that come too soon wait, and are one.
-        """
+        """End the open file; the next sample begins another. Requests within ROLL_MIN_NS are merged into one."""
         if self.is_open and (
             self._is_awaited or (self._rolled_ns is not None and now_ns - self._rolled_ns < ROLL_MIN_NS)
         ):
@@ -384,7 +376,7 @@ class RobotLog:
         self.close(now_ns)
 
     def pause(self, reason: str, now_ns: int) -> None:
-        """End the file, and begin none until ``resume``."""
+        """End the file, and begin no other until ``resume``."""
         if self.is_open:
             self._ended_by = reason
         self.is_paused = True
@@ -395,24 +387,24 @@ class RobotLog:
         self.is_paused = False
 
     def hand_over(self, now_ns: int) -> None:
-        """Hand over the chunk in hand: to the file, if one is open, and to the incidents whatever happens."""
+        """Hand the current chunk to the open file, if there is one, and to the incidents."""
         chunk = self._chunk.seal()
         if chunk is None:
             return
         if self.is_open:
             self._apply(WriteChunk(self.name, chunk))
         else:
-            # That the disk is full is a loss; that somebody stopped us is none.
+            # A full disk is a loss; a stopped recorder is not.
             self._lose_written(chunk.counts, self._context.left_out, chunk.start_ns, chunk.end_ns)
         self._context.actions += self.incidents.add(chunk, now_ns)
 
     def queries(self, now_ns: int, most: int) -> list[Query]:
-        """The queries that are due, at most so many: who the robots are, then what they keep."""
+        """The due queries, at most ``most``: robot infos first, then stored samples."""
         queries = self.robots.queries(now_ns, most)
         return queries + self._backlog.queries(now_ns, most - len(queries))
 
     def ask_last(self, now_ns: int) -> None:
-        """Have what is worth asking once more before ``close`` be due."""
+        """Make the last queries before ``close`` due."""
         self.robots.ask_last(now_ns)
         self._backlog.ask_last()
 
@@ -465,7 +457,7 @@ class RobotLog:
             self.add_own(topic, gap, now_ns)
 
     def _describe(self) -> None:
-        """Write what each file of the log holds of its robots."""
+        """Write the metadata of the log's robots."""
         self._apply_all(self.robots.describe())
         self._apply_all(self.statements.describe())
 
@@ -479,7 +471,7 @@ class RobotLog:
         self._apply(DeclareChannel(self.name, channel))
 
     def _apply(self, action: LogAction) -> None:
-        """Have an action applied to the log; one that files repeat, to an incident that is being written, too."""
+        """Queue an action on the log, and on the open incident if every file repeats it."""
         self._context.actions.append(action)
         if action.is_repeated and self.incidents.is_open:
             self._context.actions.append(msgspec.structs.replace(action, log=self.incidents.log))
@@ -496,14 +488,14 @@ class RobotLog:
     # Incidents
 
     def raise_alarm(self, because: str, now_ns: int, wall_ns: int) -> None:
-        """Begin an incident, or announce that there is no room for it."""
+        """Begin an incident, or announce that there is no space for it."""
         if self._context.has_incident_room:
             self.begin_incident(because, now_ns, wall_ns)
         else:
             self._context.announcements.append(incident_refused(self.name, because))
 
     def begin_incident(self, because: str, now_ns: int, wall_ns: int) -> None:
-        """Keep what came before, and what comes."""
+        """Begin an incident file with the ring, or extend the open one."""
         # Where no file has been begun yet, the robots have not been described.
         self._describe()
         actions = self.incidents.begin(now_ns, wall_ns, because, self.file if self.is_open else "")
@@ -515,12 +507,12 @@ class RobotLog:
 
     def end_incident(self, now_ns: int) -> None:
         if self.incidents.is_open:
-            # What is in hand was received in time.
+            # The current chunk was received in time.
             self.hand_over(now_ns)
             self._context.actions += self.incidents.close()
 
     def cut_incident(self, now_ns: int) -> None:
-        """End the incident, if there is one, for want of room."""
+        """End the open incident, if any, because the disk is full."""
         if self.incidents.is_open:
             self.end_incident(now_ns)
             self._context.announcements.append(incident_cut(self.name, self.incident_file))
@@ -528,7 +520,7 @@ class RobotLog:
     # Notices of the disk
 
     def receive_opened(self, notice: Opened) -> Announcement | None:
-        """Note that a file of the log, or of an incident of it, was begun. Returns what is to be announced."""
+        """Note that a file of the log or of its incident was begun. Returns an announcement, if any."""
         if notice.log == self.name:
             self.file = notice.file
             self._is_awaited = False
@@ -544,14 +536,14 @@ class RobotLog:
         return incident_begun(notice.file, self.incidents.about["because"])
 
     def receive_ended(self, notice: Ended) -> None:
-        """Note that a file of the log, or of an incident of it, is whole."""
+        """Note that a file of the log or of its incident is complete."""
         if notice.log == self.name and self.file == notice.file:
             self.file = ""
         elif self.incident_file == notice.file:
             self.incident_file = ""
 
     def receive_lost(self, lost: Lost) -> None:
-        """Count messages that the disk did not take or keep. Those of an incident the log itself may have."""
+        """Count messages that the disk lost. Those of an incident may still be in the log."""
         if lost.log == self.name:
             self._lose_written(lost.counts, GapReason.DISK, lost.first_ns, lost.last_ns)
 

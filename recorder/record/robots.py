@@ -1,11 +1,11 @@
-"""The robots of a log: their keys, the statements of their authorities, and samples to ask for again. Pure.
+"""The robots of a log: their infos, the statements of their authorities, and missing samples. Pure.
 
-- Each robot is asked who it is, and the log keeps the answer.
-- The newest statements of the authorities are written into each file, as metadata, so that each file can be proven
-  alone. A robot repeats them once a minute, and a file may be shorter. With the authority's keys the recorder
-  knows what is signed, and nothing unsigned takes its place.
-- Samples that a gateway still has and this log lacks: found by gaps in the sequence, and asked for one piece at a
-  time and key, so that a thin link carries the present first.
+- Each robot's ``gateway/info`` is queried and recorded.
+- The newest statements of the authorities are metadata of each file, so that each file can be verified alone: a
+  robot repeats them once a minute, and a file may be shorter. With the authority's keys the recorder knows which
+  are signed, and unsigned ones cannot displace them.
+- Samples that a gateway still stores and this log lacks: found by gaps in the sequence, and queried one piece at a
+  time and key, so that a thin link carries live data first.
 """
 
 from __future__ import annotations
@@ -26,19 +26,18 @@ if TYPE_CHECKING:
     from recorder.record.signed_mode import StatementProofs
 
 METADATA_NAME: Final = "cruiser"
-"""The metadata record with the robots of a log; the last one of this name in a file is valid."""
+"""Metadata record with the robots of a log; the last one in a file is valid."""
 
 DEVICE_NAME: Final = "foxglove"
-"""The metadata record by which Foxglove files a log under its robot; the last one of this name in a file is valid.
+"""Metadata record by which Foxglove files a log under its robot; the last one in a file is valid.
 
 Of its keys (https://docs.foxglove.dev/docs/primary-sites/self-hosting/manage-data, "Adding metadata to imports")
-``deviceName`` alone is written: a device of that name is made where there is none. ``deviceId`` and ``projectId``
-are numbers of somebody's account. ``key`` must never stand on two files that differ, and whoever cuts a log copies
-it; recordings of a device are told apart by their content anyway.
+only ``deviceName`` is written: Foxglove creates the device if needed. ``deviceId`` and ``projectId`` belong to an
+account, and ``key`` must be unique to a file, which a cut of the log would break.
 """
 
 ASK_AGAIN_NS: Final = 2_000_000_000
-"""First pause before a gateway that has not answered, or does not know its variant, is asked again; it doubles."""
+"""First pause before a gateway without an answer or a variant is queried again; it doubles."""
 
 ASK_AGAIN_MAX_NS: Final = 60_000_000_000  # the longest pause between two such queries
 
@@ -56,12 +55,12 @@ class _Robot:
 
     @property
     def is_known(self) -> bool:
-        """True if nothing is left to ask: the DBC is there only when the variant is known."""
+        """True if the info is complete: the DBC is there only when the variant is known."""
         return self.info is not None and self.info.variant is not Variant.UNKNOWN
 
 
 class Robots:
-    """The robots of a log, from their first samples on, up to ROBOT_LIMIT: anybody can make up names."""
+    """The robots of a log, from their first samples on, at most ROBOT_LIMIT: names are untrusted."""
 
     def __init__(self, log: str, recorder_version: str) -> None:
         self._log = log
@@ -77,7 +76,7 @@ class Robots:
         return name in self._robots
 
     def see(self, root: str, robot: str, now_ns: int) -> str:
-        """Ask a robot who it is, if it is new. Returns its name in this log."""
+        """Query the info of a new robot. Returns the robot's name in this log."""
         key = keys.build(root, robot, _INFO)
         known = self._robots.get(robot)
         # Two roots may hold a robot of the same name; the second is called by its root too.
@@ -87,7 +86,7 @@ class Robots:
         return name
 
     def has_quota(self, name: str, bus: str = "") -> bool:
-        """True if keys of this robot, and of this bus of it, have a quota of their own: the first few have."""
+        """True if the robot, and this bus of it, are among the first few: their keys have their own quota."""
         robot = self._robots.get(name)
         if robot is None or not bus or bus in robot.buses:
             return robot is not None
@@ -97,10 +96,10 @@ class Robots:
         return True
 
     def see_restart(self, name: str, now_ns: int) -> None:
-        """Ask a robot again, as its gateway has begun anew, perhaps as another version."""
+        """Query a robot again: its gateway restarted, perhaps with another version."""
         robot = self._robots.get(name)
         if robot is not None and robot.ask_at_ns is None:
-            # Two gateways of one name look like a restart with every sample: no storm of queries.
+            # Two gateways of one name look like a restart with every sample: avoid a storm of queries.
             robot.ask_at_ns = max(now_ns, robot.asked_ns + ASK_AGAIN_NS)
             robot.pause_ns = ASK_AGAIN_NS
 
@@ -118,13 +117,13 @@ class Robots:
         return queries
 
     def ask_last(self, now_ns: int) -> None:
-        """Ask each robot once more of which something is not known."""
+        """Query each robot with an incomplete info once more."""
         for robot in self._robots.values():
             if not robot.is_known:
                 robot.ask_at_ns = now_ns
 
     def receive_info(self, name: str, info: GatewayInfo, wall_ns: int) -> list[LogAction]:
-        """Add a robot's answer to the log; nothing if it is one of too many."""
+        """Add a robot's info to the log, unless the robot is beyond the limit."""
         robot = self._robots.get(name)
         if robot is None:
             return []
@@ -146,7 +145,7 @@ class Robots:
         return actions + self.describe()
 
     def describe(self) -> list[LogAction]:
-        """Write the metadata records, unless the log already ends with the same."""
+        """Write the metadata records that have changed."""
         entries = {"recorder_version": self._version, "robots": ",".join(sorted(self._robots))}
         for name, robot in sorted(self._robots.items()):
             info = robot.info
@@ -161,7 +160,7 @@ class Robots:
         if entries != self._written:
             self._written = entries
             actions.append(WriteMetadata(self._log, METADATA_NAME, dict(entries), lasts=True))
-        # A log of several robots is no device's: an empty record takes back what an earlier one said.
+        # A log of several robots belongs to no device: an empty record revokes an earlier one.
         device = {"deviceName": next(iter(self._robots))} if len(self._robots) == 1 else {}
         if device != self._device:
             self._device = device
@@ -170,11 +169,10 @@ class Robots:
 
 
 STATEMENTS_NAME: Final = "cruiser.statements"
-"""The metadata record: by ``{root}/{robot} {time} {number}`` the texts, the time in nanoseconds since 1970."""
+"""Metadata record of texts by ``{root}/{robot} {time} {number}``, the time in nanoseconds since 1970."""
 
 STATEMENTS_MAX_BYTES: Final = 131_072
-"""Statements of a log that are kept: those that the authority signed, and as many of all others; beyond it the one
-goes that was not repeated for longest."""
+"""Limit of the statements signed by the authority, and of all others; the least recently repeated go first."""
 
 
 class Statements:
@@ -192,14 +190,14 @@ class Statements:
             self._proofs.tick()
 
     def receive(self, robot: str, text: str, time_ns: int) -> None:
-        """Keep a statement of a robot, with the time when it was said first. A text that is too long is none.
+        """Store a robot's statement with the time of its first appearance, unless it is too long.
 
         Args:
             robot: the beginning of its keys, root and name.
             time_ns: by the robot's clock, since 1970.
         """
         if len(text.encode()) > TEXT_MAX_BYTES:
-            # Nobody signed the message: one alone must not displace all others.
+            # The message is unsigned: one alone must not displace all others.
             return
         place = robot, text
         if self._proven.repeat(place):
@@ -213,7 +211,7 @@ class Statements:
         self._is_new = True
 
     def describe(self) -> list[LogAction]:
-        """Write what is kept, unless the log already ends with the same."""
+        """Write the statements if they have changed."""
         if not self._is_new:
             return []
         self._is_new = False
@@ -223,14 +221,14 @@ class Statements:
 
 
 class _Room:
-    """Statements of one worth, each with the time when it was said first, the one last that was repeated last."""
+    """Statements with the time of their first appearance, the most recently repeated last."""
 
     def __init__(self) -> None:
         self.said: OrderedDict[tuple[str, str], int] = OrderedDict()
         self._bytes = 0
 
     def repeat(self, place: tuple[str, str]) -> bool:
-        """Note that a statement was repeated. False if it is not here."""
+        """Note that a statement was repeated. False if it is not stored."""
         if place not in self.said:
             return False
         self.said.move_to_end(place)
@@ -243,30 +241,28 @@ class _Room:
             self.remove(next(iter(self.said)), 0)
 
     def remove(self, place: tuple[str, str], otherwise_ns: int) -> int:
-        """Remove a statement, if it is here. Returns when it was said first."""
+        """Remove a statement. Returns the time of its first appearance, or ``otherwise_ns``."""
         if place not in self.said:
             return otherwise_ns
         self._bytes -= len(place[1].encode())
         return self.said.pop(place)
 
 
-ANSWER_NS: Final = 1_000_000_000  # a piece that is not whole after this time is asked for again
+ANSWER_NS: Final = 1_000_000_000  # a piece that is incomplete after this time is queried again
 TRIES: Final = 5  # queries for one piece in a row; then it is given up
 
 AGAIN_NS: Final = 2_000_000_000
-"""Shortest time between two queries for the whole past of a key: two gateways of one name look like a restart with
+"""Shortest time between two queries for all samples of a key: two gateways of one name look like a restart with
 every sample."""
 
-RANGES_MAX: Final = 32  # gaps of one key that wait; beyond it the oldest are given up
-
-HELD: Final = 16_384
-"""Samples of one key that are known again, by their place in the run: as many as a gateway keeps, in 2 MB."""
+RANGES_MAX: Final = 32  # gaps of one key that wait; the oldest beyond it are given up
+HELD: Final = 16_384  # samples of one key that are recognised as duplicates: as many as a gateway stores, in 2 MB
 
 KEPT_SUBJECTS: Final = tuple(subject for subject in SUBJECTS if subject.qos.kept_bytes)
 
 
 class _Range:
-    """Sequences that are missing: from ``start``, up to but not including ``end``; None is as far as it goes."""
+    """Missing sequences from ``start`` up to but not including ``end``; None is open-ended."""
 
     def __init__(self, start: int, end: int | None, *, counted: bool) -> None:
         self.start = start
@@ -278,33 +274,33 @@ class _Range:
 
     @property
     def is_over(self) -> bool:
-        """Nothing of it is missing any more."""
+        """Nothing in the range is missing any more."""
         return self.end is not None and self.start >= self.end
 
     def is_due(self, now_ns: int) -> bool:
-        """The piece that was asked for has come, or does not come."""
+        """The queried piece has arrived, or has timed out."""
         return self.asked_ns is None or self.start >= self.asked_to or now_ns - self.asked_ns >= ANSWER_NS
 
 
 class _Key:
     def __init__(self, key: str, subject: Subject, now_ns: int) -> None:
         self.key = key
-        # Where the past is cut off, the rest of a journal is worth nothing: it cannot be run again.
+        # A journal without its beginning cannot be rerun.
         self.whole_only = subject.type is Journal
-        # Hashes of what the log has, by place: who repeats a robot's sample makes it look as if it had begun anew.
+        # Hashes of the recorded samples, by place: a repeated sample would look like a restart.
         self._held: dict[int, int] = {}
         self.asked_ns: int | None = None
         self.begin(now_ns)
 
     def begin(self, now_ns: int) -> None:
-        """Treat the gateway as new: all that it has published is missing."""
+        """Treat the gateway as new: all its samples are missing."""
         self.begun_ns = now_ns
         self.ask_at_ns = now_ns if self.asked_ns is None else max(now_ns, self.asked_ns + AGAIN_NS)
         self.expected = 0
         self.ranges = [_Range(0, None, counted=False)]
 
     def receive(self, sequence: int) -> None:
-        """Note a sample that came by itself."""
+        """Note a live sample."""
         last = self.ranges[-1] if self.ranges else None
         if last is not None and last.end is None:
             last.end = sequence
@@ -314,7 +310,7 @@ class _Key:
         self.expected = sequence + 1
 
     def hold(self, sequence: int, payload: bytes) -> bool:
-        """Note that the log has a sample from now on. False if it had it before."""
+        """Note that the log has a sample. False if it had it before."""
         place, digest = sequence % HELD, hash(payload)
         is_new = self._held.get(place) != digest
         self._held[place] = digest
@@ -337,13 +333,13 @@ class _Key:
 
 
 class Backlog:
-    """The keys of a log whose samples the gateways keep for a while."""
+    """The keys of a log whose recent samples the gateways store."""
 
     def __init__(self) -> None:
         self._keys: dict[str, _Key] = {}
 
     def see(self, root: str, robot: str, now_ns: int) -> None:
-        """Ask a robot for what it published before, if it is new."""
+        """Query the earlier samples of a new robot."""
         if len(self._keys) >= ROBOT_LIMIT * len(KEPT_SUBJECTS):
             return
         for subject in KEPT_SUBJECTS:
@@ -352,7 +348,7 @@ class Backlog:
                 self._keys[key] = _Key(key, subject, now_ns)
 
     def receive(self, key: str, sequence: int, payload: bytes, now_ns: int, *, is_restart: bool) -> None:
-        """Note a sample that came by itself. ``is_restart``: its sequence steps back."""
+        """Note a live sample. ``is_restart``: its sequence steps back."""
         one = self._keys.get(key)
         if one is None:
             return
@@ -362,13 +358,13 @@ class Backlog:
         one.hold(sequence, payload)
 
     def receive_reply(self, key: str, sequence: int, payload: bytes) -> tuple[bool, bool]:
-        """Note a sample that came as a reply. Whether it was missing, and whether it was counted as missed."""
+        """Note a sample from a reply. Returns whether it was missing, and whether it was counted as missed."""
         one = self._keys.get(key)
         wanted = one.ranges[0] if one is not None and one.ranges else None
         if one is None or wanted is None or sequence < wanted.start:
             return False, False
         if sequence > wanted.start and not wanted.tries:
-            # Perhaps an earlier reply was lost: all that is missing is asked for once more.
+            # Perhaps an earlier reply was lost: query the whole range once more.
             return False, False
         if wanted.end is not None and sequence >= wanted.end:
             return False, False
@@ -385,13 +381,13 @@ class Backlog:
         return list(islice(due, most))
 
     def ask_last(self) -> None:
-        """Ask for the end, too: the last samples may be missing, and nothing came after them to show it."""
+        """Query the end too: no later sample shows that the last ones are missing."""
         for one in self._keys.values():
             missing = [part for part in one.ranges if not part.is_over]
             one.ranges = missing or [_Range(one.expected, None, counted=False)]
 
     def _begin_again(self, one: _Key, key: str, now_ns: int) -> None:
-        """Begin again with all subjects of a gateway: those that are seldom published would not show a restart."""
+        """Restart all subjects of a gateway: rarely published ones would not show the restart themselves."""
         one.begin(now_ns)
         parts = keys.parse(key)
         if parts is None:

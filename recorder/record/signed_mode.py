@@ -1,11 +1,11 @@
-"""Signed mode in a recorder: its signature of each finished log, and the statements that it has verified. Pure.
+"""Signed mode of a recorder: its signature of each finished log, and verified statements. Pure.
 
-The signature lies beside the log, as ``NAME.mcap.sig``. It is text that ``sha256sum`` and OpenSSL can check: the
-name of its form, the log's line of ``sha256sum``, the signature over these two lines (Ed25519, base64), the
-recorder's public key (PEM), and the grant of that key. It says that the recorder wrote the log so, and not that
-what it received was true.
+The signature is a file beside the log, ``NAME.mcap.sig``: text that ``sha256sum`` and OpenSSL can check. Its parts
+are the name of the format, the log's line of ``sha256sum``, the signature of these two lines (Ed25519, base64),
+the recorder's public key (PEM), and the grant of that key. It proves that the recorder wrote the log, not that the
+received data was true.
 
-Open mode does without this module, and without the cryptography behind it.
+Open mode loads neither this module nor the cryptography.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from schemas.authority.key_files import Identity
 from schemas.authority.proof import KEY_BYTES, Grant, Rotation, Signed, StatementFault, chain_text, read_chain
 from schemas.authority.trust import Trust, fits
 
-SIGNATURE_MAX_BYTES: Final = 65_536  # a longer file is none: a chain of grants takes a few thousand
+SIGNATURE_MAX_BYTES: Final = 65_536  # a chain of grants takes a few thousand
 
 _DOMAIN: Final = "cruiser-log-1"
 _DER: Final = bytes.fromhex("302a300506032b6570032100")  # stands before an Ed25519 key in DER (RFC 8410)
@@ -34,7 +34,7 @@ _FORM: Final = re.compile(
 
 
 class LogSignature(msgspec.Struct, frozen=True):
-    """A signature as it lies beside a log.
+    """The signature beside a log.
 
     Attributes:
         sha256: of the whole log, hexadecimal.
@@ -53,12 +53,12 @@ class LogSignature(msgspec.Struct, frozen=True):
 
     @property
     def fits(self) -> bool:
-        """The signature is of the grant's key. Whether the grant holds is another question."""
+        """True if the grant's key made the signature. Does not check the grant."""
         return fits(self.key, self.signature, signed_text(self.sha256, self.file))
 
     @classmethod
     def read(cls, data: bytes) -> Self | None:
-        """Read a signature; None if it is in no such form. Anybody may have put it there."""
+        """Read a signature; None if it is malformed. The file is untrusted."""
         match = _FORM.fullmatch(data.decode("ascii", "replace"))
         chain = StatementFault("") if match is None else read_chain(match[4].encode())
         if match is None or isinstance(chain, StatementFault):
@@ -67,7 +67,7 @@ class LogSignature(msgspec.Struct, frozen=True):
             found = cls(match[1], match[2], b64decode(match[3]), chain)
         except (binascii.Error, ValueError):
             return None
-        # What a stranger sees by other tools is what is judged here.
+        # Other tools must see exactly what is verified here.
         return found if len(found.key) == KEY_BYTES and found.text() == data else None
 
     def text(self) -> bytes:
@@ -95,10 +95,8 @@ class LogSigner:
         return LogSignature(sha256, file, signature, self._identity.chain).text()
 
 
-TRUSTS_MAX: Final = 8  # the authority before a rotation, and those after: what each signed is proven
-
-VERIFIED_PER_TICK: Final = 2
-"""Statements that are verified in a tick, up to three signatures each: a flood of forged ones costs no more."""
+TRUSTS_MAX: Final = 8  # the authority before a rotation, and those after it
+VERIFIED_PER_TICK: Final = 2  # statements of up to three signatures: bounds the cost of forged ones
 
 
 class StatementProofs:
@@ -112,7 +110,7 @@ class StatementProofs:
         self._left = VERIFIED_PER_TICK
 
     def has(self, text: str) -> bool:
-        """Return True if the authority signed it, or one that a rotation led to; whatever is revoked or over."""
+        """True if the authority, or a successor by rotation, signed it; even if it is revoked or expired."""
         if not self._left:
             return False
         chain = read_chain(text.encode())

@@ -1,7 +1,7 @@
-"""Finished logs: read slowly, so that the recorder has the disk, and their manifest and row in a store.
+"""Finished logs: read slowly, to leave the disk to the recorder, and their manifest and row in a store.
 
-The manifest is made before the log, and verified after it; the store makes it only where none is. So nobody
-overwrites the log of somebody else, and nothing depends on lists, which may be of a while ago.
+The manifest is created before the log, only if there is none, and marked as verified after it. So no log
+overwrites another, and nothing depends on the store's lists, which may be out of date.
 """
 
 from __future__ import annotations
@@ -26,21 +26,19 @@ from recorder.record.signed_mode import SIGNATURE_MAX_BYTES, LogSignature
 from schemas.command_line import module_command, other_kind, plain
 from schemas.peers import RateLimit
 
-ROW_S: Final = 600.0  # making a row is given up after this time
-
-ROW_S_PER_BYTE: Final = 20e-6
-"""...and this much for each byte of the log: 20 s a megabyte, on a robot that has other things to do."""
+ROW_S: Final = 600.0  # time limit for a row
+ROW_S_PER_BYTE: Final = 20e-6  # added for each byte of the log: 20 s a megabyte, on a busy robot
 
 Summarize = Callable[[Path], Awaitable[bytes]]
-"""Makes the row of a log; raises RowError, or OSError where the log is gone."""
+"""Makes the row of a log; raises RowError, or OSError if the log is gone."""
 
 
 class RowError(Exception):
-    """The row of a log could not be made: in a line."""
+    """The row of a log could not be made; says why in one line."""
 
 
 def row_maker(module: str) -> Summarize:
-    """Return what runs a module of this Python with a log's path, and takes the row from its standard output."""
+    """Return a function that runs a module in another process, and reads a log's row from its standard output."""
 
     async def summarize(path: Path) -> bytes:
         size = path.stat().st_size  # noqa: ASYNC240 - nothing else runs here, and a log was just read there
@@ -49,7 +47,7 @@ def row_maker(module: str) -> Summarize:
             *module_command(module, str(path)), stdout=PIPE, stderr=PIPE
         )
         try:
-            row, said = await asyncio.wait_for(process.communicate(), budget_s)
+            row, errors = await asyncio.wait_for(process.communicate(), budget_s)
         except TimeoutError:
             raise RowError(f"given up after {budget_s:.0f} s") from None
         finally:
@@ -57,7 +55,7 @@ def row_maker(module: str) -> Summarize:
                 process.kill()
                 await process.wait()
         if process.returncode or not row:
-            last = plain(said.decode(errors="replace").strip().rpartition("\n")[2])
+            last = plain(errors.decode(errors="replace").strip().rpartition("\n")[2])
             raise RowError(last or f"its process ended with {process.returncode}")
         return row
 
@@ -66,28 +64,28 @@ def row_maker(module: str) -> Summarize:
 
 FORMAT: Final = "cruiser.upload/1"
 
-MANIFEST_SUFFIX: Final = ".json"  # follows the log's own name
-ROW_SUFFIX: Final = ".row.json.zst"  # follows the log's own name: its row of the catalog
-NAMESAKES_MAX: Final = 20  # different logs of one name that a store takes, each with a number
+MANIFEST_SUFFIX: Final = ".json"  # behind the log's name
+ROW_SUFFIX: Final = ".row.json.zst"  # behind the log's name: its row of the catalog
+NAMESAKES_MAX: Final = 20  # different logs of one name in a store, each with a number
 
 
 class UploadState(Enum):
     """The progress of an upload."""
 
-    UPLOADING = "uploading"  # Begun. The log beside it may be missing, or be wrong.
-    VERIFIED = "verified"  # the store held what the disk held
+    UPLOADING = "uploading"  # begun; the log may be missing or incomplete
+    VERIFIED = "verified"  # the store's bytes equalled the disk's
 
 
 class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
     """The manifest of a log.
 
     Attributes:
-        file: its name on the disk from which it came.
+        file: its name on the disk.
         sha256: of its bytes, hexadecimal.
-        robot: by the file's name; ``fleet`` where it is of several.
-        start_ns, end_ns: the first and the last log time; None if it holds no message, or is not whole.
-        metadata: what its recorder wrote of it: robots, versions, variants.
-        verified: how: ``read back``, or by the store's own ``checksum``; empty until it is.
+        robot: by the file's name; ``fleet`` for several.
+        start_ns, end_ns: the first and the last log time; None without messages, or if the log is not whole.
+        metadata: of its recorder: robots, versions, variants.
+        verified: by ``read back``, or the store's ``checksum``; empty before.
     """
 
     format: str = FORMAT
@@ -108,7 +106,7 @@ class UploadManifest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def object_names(robot: str, file: str) -> Iterator[str]:
-    # Whoever makes up a file's name must not lead out of the store's directory.
+    # A robot's name must not lead out of the store's directory.
     folder = robot.lstrip(".") or "_"
     yield f"{folder}/{file}"
     stem, dot, suffix = file.rpartition(".")
@@ -117,7 +115,7 @@ def object_names(robot: str, file: str) -> Iterator[str]:
 
 
 def read_manifest(data: bytes) -> UploadManifest | None:
-    """A manifest; None if it is none of this format."""
+    """Read a manifest; None if it has another format."""
     try:
         found = msgspec.json.decode(data, type=UploadManifest)
     except (msgspec.MsgspecError, UnicodeDecodeError):
@@ -127,25 +125,17 @@ def read_manifest(data: bytes) -> UploadManifest | None:
 
 READ_BYTES: Final = 65_536
 
-DISK_BYTES_PER_S: Final = 8_000_000
-"""Rate at which a log is read ahead, for its checksum: far below what a card or a disk can do."""
-
-SAFELY: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-"""A FIFO would be waited for, and a link leads to where this must not read."""
-
-PART_BYTES: Final = 5 * 1024 * 1024  # larger logs go in parts of this length: the smallest that S3 takes
+DISK_BYTES_PER_S: Final = 8_000_000  # rate of reading for the checksum: far below what a card or a disk can do
+SAFELY: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # no wait for a FIFO, no links
+PART_BYTES: Final = 5 * 1024 * 1024  # larger logs are sent in parts of this length: the smallest that S3 accepts
 
 
 class UnfitLogError(Exception):
-    """A file that is not uploaded: no log, or one that somebody is about to change. Says why."""
+    """A file that cannot be uploaded: no log, or being changed. Says why."""
 
 
 class LogDigest(msgspec.Struct, frozen=True):
-    """The checksums of a file.
-
-    Attributes:
-        e_tags: what stores that speak S3 call it, without quotes: by all of it, or by the parts in which it came.
-    """
+    """The checksums of a file; ``e_tags`` are those of S3 without quotes, for one upload and for parts."""
 
     bytes: int
     modified_ns: int
@@ -155,7 +145,7 @@ class LogDigest(msgspec.Struct, frozen=True):
 
 @contextmanager
 def finished_log(path: Path) -> Generator[BinaryIO, None, None]:
-    """Open a log that nobody writes. Nobody recovers it meanwhile either."""
+    """Open a finished log, and lock it against recovery."""
     if path.is_symlink():
         raise UnfitLogError("is a link")
     descriptor = os.open(path, SAFELY)
@@ -168,7 +158,7 @@ def finished_log(path: Path) -> Generator[BinaryIO, None, None]:
         except BlockingIOError:
             raise UnfitLogError("is being written or recovered") from None
         except OSError:
-            pass  # This file system has no locks: what has its name is whole.
+            pass  # This file system has no locks: a log with this name is finished.
         if not is_mcap(stream):
             raise UnfitLogError("is no MCAP file")
         yield stream
@@ -211,7 +201,7 @@ def _md5(data: bytes = b"") -> hashlib._Hash:
 
 
 async def read_slowly(stream: BinaryIO, pace: RateLimit) -> AsyncIterator[bytes]:
-    """All bytes of a file, in pieces, at this rate. What was read does not stay in the system's memory."""
+    """All bytes of a file, in pieces, at this rate. They do not stay in the system's page cache."""
     descriptor, at = stream.fileno(), 0
     while piece := os.pread(descriptor, READ_BYTES, at):
         with suppress(OSError):

@@ -1,8 +1,8 @@
-"""Finished logs to a store that obstore knows (S3, GCS, Azure, a directory), one after the other, incidents first.
+"""Upload of finished logs to a store (S3, GCS, Azure, a directory) by obstore, one by one, incidents first.
 
-Of each log first the manifest is made, where none is; then the log comes and is verified, its recorder's signature
-follows, and the manifest says so; then the note beside the logs. Whatever breaks off in between is done again from
-the beginning of that log: a store shows an object whole or not at all.
+For each log: create the manifest, upload and verify the log, add its recorder's signature, mark the manifest as
+verified, and add a line to the note beside the logs. After an interruption the log is done again from its
+beginning: a store shows an object whole or not at all.
 """
 
 from __future__ import annotations
@@ -52,18 +52,14 @@ from recorder.upload.finished import (
 from schemas.command_line import plain
 from schemas.peers import RateLimit
 
-READ_BACK_BYTES: Final = 1024 * 1024
-"""A log is read back in ranges of this length, each at once: of a link that breaks no more is asked again."""
-
-SMALL_MAX_BYTES: Final = 4 * 1024 * 1024
-"""A manifest is no larger: whatever else a store answers would fill the robot's memory."""
-
-PART_S: Final = timedelta(minutes=5)  # a request may take so long: a part over a link of 18 kB/s
-REQUEST_S: Final = timedelta(minutes=3)  # a link may be away for so long, and a part that was begun goes on
+READ_BACK_BYTES: Final = 1024 * 1024  # length of a range that is read back at once
+SMALL_MAX_BYTES: Final = 4 * 1024 * 1024  # limit of a manifest, to protect the robot's memory
+PART_S: Final = timedelta(minutes=5)  # time limit of a request: a part over a link of 18 kB/s
+REQUEST_S: Final = timedelta(minutes=3)  # longest outage of a link after which a part continues
 
 
 class LogStore:
-    """The store at a URL, as obstore has them. Methods raise StoreError where it does not answer, or refuses."""
+    """The store at a URL of obstore. Methods raise StoreError if it does not respond, or refuses."""
 
     def __init__(self, url: str, options: Mapping[str, Any]) -> None:
         self._store: ObjectStore = open_store(
@@ -77,7 +73,7 @@ class LogStore:
             except (AlreadyExistsError, PreconditionError, FileExistsError):
                 return False
             except BaseError:
-                # A disk without hard links, as FAT has none, cannot see to it that there is none yet.
+                # A disk without hard links, such as FAT, cannot create a file atomically.
                 if not isinstance(self._store, LocalStore):
                     raise
                 if await self.look(name) is not None:
@@ -103,7 +99,7 @@ class LogStore:
         return data
 
     async def write(self, name: str, pieces: AsyncIterator[bytes], size: int) -> None:
-        """Put a log there. It appears when all of it has come, and not before."""
+        """Write a log, which appears when it is complete."""
         with _store_errors():
             if size <= PART_BYTES:
                 whole = b"".join([piece async for piece in pieces])
@@ -120,19 +116,19 @@ class LogStore:
         return StoredObject(found["size"], (found["e_tag"] or "").strip('"'))
 
     async def read_back(self, name: str, size: int) -> AsyncIterator[bytes]:
-        """The bytes of a log, of which there should be so many."""
+        """The bytes of a log of this size."""
         for start in range(0, size, READ_BACK_BYTES):
             end = min(start + READ_BACK_BYTES, size)
             with _store_errors():
                 found = await obstore.get_async(self._store, name, options={"range": (start, end)})
-                # A byte more than was asked for is enough to see that an answer goes on and on.
+                # One byte more shows an answer that is too long.
                 piece = bytes(await anext(aiter(found.stream(end - start + 1)), b""))
             yield piece
 
 
 @contextmanager
 def _store_errors() -> Generator[None, None, None]:
-    """Raise one StoreError for whatever the library reports."""
+    """Turn the library's errors into a StoreError."""
     try:
         yield
     except (BaseError, OSError) as error:
@@ -141,21 +137,21 @@ def _store_errors() -> Generator[None, None, None]:
 
 log = logging.getLogger(__name__)
 
-TRIES: Final = 2  # a log that the store holds otherwise than it was sent is sent so often before it has to wait
-RETRY_S: Final = 600.0  # pause before a log that cannot be uploaded is tried again; others go before it
-STORE_RETRY_S: Final = 60.0  # the same for one that the store did not take, which may be gone as a whole
-AWAY_AFTER: Final = 2  # a store that did not take so many logs in a row is gone
+TRIES: Final = 2  # uploads of a log that fails verification, before it has to wait
+RETRY_S: Final = 600.0  # pause before a log that cannot be uploaded is tried again; others go first
+STORE_RETRY_S: Final = 60.0  # the pause after an error of the store
+AWAY_AFTER: Final = 2  # errors of the store in a row from which it counts as unreachable
 
 READ_BACK: Final = "read back"
 CHECKSUM: Final = "checksum"
 
 
 class UploadPlan(msgspec.Struct, frozen=True):
-    """The choice of logs, and the way in which they are uploaded.
+    """The settings of an upload.
 
     Attributes:
-        only_incidents: leave logs where they are.
-        reads_back: verify a log by reading it back; else by the store's own checksum, where it has one.
+        only_incidents: upload no other logs.
+        reads_back: verify a log by reading it back; else by the store's checksum, if it has one.
     """
 
     directory: Path
@@ -169,9 +165,9 @@ class UploadTotals(msgspec.Struct):
     """The result of an upload.
 
     Attributes:
-        uploaded: logs that are safe now; ``bytes`` in all.
-        rows: logs beside which a row of the catalog lies now.
-        faults: why; a line each.
+        uploaded: logs uploaded and verified; ``bytes`` is their total size.
+        rows: logs with a row of the catalog.
+        faults: a line for each waiting log that failed.
     """
 
     uploaded: int = 0
@@ -182,11 +178,7 @@ class UploadTotals(msgspec.Struct):
 
 
 class Uploader:
-    """Uploads what is finished.
-
-    Args:
-        pace: the rate at which a log is read while it is sent, and while it is read back.
-    """
+    """Uploads finished logs; ``pace`` limits the rate of sending and of reading back."""
 
     def __init__(
         self,
@@ -201,23 +193,19 @@ class Uploader:
         self._note = note
         self._pace = pace
         self._retry_s: dict[str, float] = {}  # logs that could not be uploaded, and when to try again
-        self._failures = 0  # logs in a row that the store did not take
+        self._failures = 0  # errors of the store in a row
         self._summarize = summarize
-        self._rowless: deque[tuple[str, str]] = deque()  # logs that are safe and have no row yet: file and object
+        self._rowless: deque[tuple[str, str]] = deque()  # uploaded logs without a row: file and object
         self.totals = UploadTotals()
 
     async def upload_all(self, may_go_on: Callable[[], bool]) -> bool:
-        """Upload all that is there; look for incidents again before each.
-
-        Returns:
-            True if the store took what it was asked to: it is worth asking again soon.
-        """
+        """Upload all finished logs; look for incidents before each. Returns True if the store is reachable."""
         self._failures = 0
         self._note.forget({entry.name for entry in read_entries(self._plan.directory)})
         while True:
             entries = self.waiting()
             self.totals.waiting = [entry.name for entry in entries]
-            # Some have gone since, or are safe.
+            # Forget the faults of logs deleted or uploaded since.
             faults = self.totals.faults
             self.totals.faults = {name: faults[name] for name in self.totals.waiting if name in faults}
             now_s = time.monotonic()
@@ -228,11 +216,11 @@ class Uploader:
             if due:
                 await self._upload_one(due[0])
             elif self._summarize is not None:
-                # Only when every log is safe: a row can be made again, from the log in the store.
+                # After all logs: a row can also be made from the log in the store.
                 await self._add_row(self._summarize, *self._rowless.popleft())
 
     def waiting(self) -> list[LogEntry]:
-        """Return what is finished, and not safe yet; incidents first, of each kind the oldest first."""
+        """Return the finished logs not yet uploaded: incidents first, then by age."""
         entries = [
             entry
             for entry in read_entries(self._plan.directory, safe=self._note.safe())
@@ -258,7 +246,7 @@ class Uploader:
             return
         self._failures = 0
         self._note.add(UploadedLog(entry.name, found.bytes, found.modified_ns, found.sha256, self._plan.url, name))
-        log.info("%s is safe as %s, %d bytes, verified: %s", plain(entry.name), plain(name), found.bytes, how)
+        log.info("%s uploaded as %s, %d bytes, verified: %s", plain(entry.name), plain(name), found.bytes, how)
         if self._summarize is not None:
             self._rowless.append((entry.name, name))
         self._retry_s.pop(entry.name, None)
@@ -266,14 +254,14 @@ class Uploader:
         self.totals.bytes += found.bytes
 
     async def _add_row(self, summarize: Summarize, file: str, name: str) -> None:
-        """Put the row of a log beside it. That there is none is no fault of the upload: who misses it makes it."""
+        """Put the row of a log beside it. A missing row is no fault: the catalog can make it."""
         try:
             await self._store.replace(name + ROW_SUFFIX, await summarize(self._plan.directory / file))
         except FileNotFoundError:
             return  # Retention was faster.
         except (RowError, StoreError, OSError) as error:
             self._failures += isinstance(error, StoreError)
-            log.warning("%s has no row of the catalog: %s", plain(name), error)
+            log.warning("%s has no row in the catalog: %s", plain(name), error)
         else:
             self._failures = 0
             self.totals.rows += 1
@@ -285,15 +273,15 @@ class Uploader:
         self.totals.faults[name] = fault
 
     async def _send(self, entry: LogEntry, stream: BinaryIO, found: LogDigest) -> tuple[str, str]:
-        """Have the store hold it. Returns its name there, and how that was verified."""
+        """Upload and verify a log. Returns its name in the store, and how it was verified."""
         for name in object_names(entry.robot, entry.name):
             claim = self._manifest(name, entry, stream, found)
             is_new = await self._store.create(name + MANIFEST_SUFFIX, msgspec.json.encode(claim))
             before = claim if is_new else await self._manifest_of(name)
             if before is None or (before.sha256, before.bytes) != (found.sha256, found.bytes):
                 continue  # The name is another log's.
-            # What is there need not be sent again. But nobody signed its manifest, and retention may delete what
-            # is safe: so the log itself is held against the disk.
+            # An existing log need not be sent again. But its manifest is unsigned, and retention deletes uploaded
+            # logs: so the log itself is compared with the disk.
             how = "" if is_new else await self._verify(name, found)
             if not how:
                 how = await self._write(name, stream, found)
@@ -325,10 +313,10 @@ class Uploader:
         )
 
     async def _manifest_of(self, name: str) -> UploadManifest | None:
-        """Raises StoreError for one that is said to be there and cannot be seen: an answer of a while ago."""
+        """Read an existing manifest; StoreError if the store does not show it yet."""
         data = await self._store.read(name + MANIFEST_SUFFIX)
         if data is None:
-            raise StoreError(f"{plain(name)} has a manifest, which cannot be read yet")
+            raise StoreError(f"the manifest of {plain(name)} cannot be read yet")
         return read_manifest(data)
 
     async def _write(self, name: str, stream: BinaryIO, found: LogDigest) -> str:
@@ -336,11 +324,11 @@ class Uploader:
             await self._store.write(name, self._unchanged(stream, found), found.bytes)
             if how := await self._verify(name, found):
                 return how
-            log.warning("the store does not hold %s as it was sent", plain(name))
-        raise _WrongLogError("the store does not hold it as it was sent")
+            log.warning("the store's copy of %s differs", plain(name))
+        raise _WrongLogError("the store's copy differs")
 
     async def _unchanged(self, stream: BinaryIO, found: LogDigest) -> AsyncIterator[bytes]:
-        """The bytes of a log, the last of them only if all are those that were summed up."""
+        """The bytes of a log; the last piece only if the whole has the expected checksum."""
         whole, last = hashlib.sha256(), b""
         async for piece in read_slowly(stream, self._pace):
             whole.update(piece)
@@ -352,7 +340,7 @@ class Uploader:
         yield last
 
     async def _verify(self, name: str, found: LogDigest) -> str:
-        """Return in which way it was verified that the store holds what the disk held; empty if it does not."""
+        """Compare the store's log with the disk's. Returns the method; empty if they differ."""
         held = await self._store.look(name)
         if held is None or held.bytes != found.bytes:
             return ""
@@ -367,4 +355,4 @@ class Uploader:
 
 
 class _WrongLogError(Exception):
-    """This log cannot be uploaded now, and others can. Says why."""
+    """A log that cannot be uploaded now, while others can. Says why."""

@@ -1,7 +1,7 @@
-"""Requests to a recorder over Zenoh, both ends: who asks, and the recorder's own keys with its liveliness token.
+"""Requests to a recorder over Zenoh, both ends: the client, and the recorder's own keys and liveliness token.
 
-The recorder's session is apart from the one that receives the robots' samples, which may have a long queue.
-Queries wait in a ring that the loop drains; no Python of ours runs on Zenoh's threads.
+This session is separate from the one that receives the robots' samples, which may have a long queue. Queries wait
+in a ring that the loop drains; no Python of ours runs on Zenoh's threads.
 """
 
 from __future__ import annotations
@@ -33,11 +33,9 @@ from schemas.zenoh_session import close_session, is_connected, join, local_port,
 
 log = logging.getLogger(__name__)
 
-CLIENT_REPLIES_WAITING: Final = 256
-"""More than there are recorders: a reply that found no room would hold up Zenoh's own thread."""
-
+CLIENT_REPLIES_WAITING: Final = 256  # more than there are recorders: a full channel would block Zenoh's thread
 LONGEST_S: Final = 86_400.0  # Zenoh waits no longer than a day
-POLL_S: Final = 0.002  # period at which replies are looked for
+POLL_S: Final = 0.002  # period of polling for replies
 
 
 def _read(verb: str, sample: zenoh.Sample) -> RecorderReply | PayloadFault:
@@ -51,7 +49,7 @@ def _read(verb: str, sample: zenoh.Sample) -> RecorderReply | PayloadFault:
 
 
 class RecorderClient:
-    """A session from which recorders are asked, from its beginning to ``close``."""
+    """A session that sends requests to recorders, until ``close``."""
 
     def __init__(
         self,
@@ -70,7 +68,7 @@ class RecorderClient:
     def ask(
         self, recorder: str, verb: str, request: Request, timeout_s: float
     ) -> Iterator[tuple[str, RecorderReply]]:
-        """The replies to a request, each with the recorder that it is from."""
+        """The replies to a request, each with its recorder."""
         try:
             replies: Any = self._session.get(
                 keys.recorder_command(self._root, recorder, self._operator, verb),
@@ -80,7 +78,7 @@ class RecorderClient:
                 target=zenoh.QueryTarget.ALL,
                 # Two recorders on different hosts may have one name, and so one key.
                 consolidation=zenoh.ConsolidationMode.NONE,
-                # The replies have it too: a recorder must not wait for the link to a client that does not read.
+                # Replies inherit it: a recorder must not wait for a client that does not read.
                 congestion_control=zenoh.CongestionControl.DROP,
                 timeout=min(timeout_s, LONGEST_S),
             )
@@ -89,15 +87,15 @@ class RecorderClient:
         for sample in self._samples(replies):
             name = self._name.fullmatch(str(sample.key_expr))
             if name is None:
-                continue  # Whoever answered so is no recorder of ours.
+                continue  # Not a recorder of ours.
             reply = _read(verb, sample)
             if isinstance(reply, RecorderReply):
                 yield name[1], reply
             elif names_schema(str(sample.encoding)):
                 log.warning("recorder %s: %s", name[1], plain(reply.detail))
 
-    def nobody(self, name: str) -> CommandError:
-        """Return the error that no recorder of this name answers, or none at all if it is ALL."""
+    def no_answer(self, name: str) -> CommandError:
+        """The error that the recorder of this name, or for ALL any recorder, does not answer."""
         if not is_connected(self._session):
             who = f"no Zenoh node answered at {self._place}"
         else:
@@ -108,7 +106,7 @@ class RecorderClient:
         close_session(self._session)
 
     def _samples(self, replies: Any) -> Iterator[zenoh.Sample]:  # noqa: ANN401 - Zenoh's handlers have no common type
-        """Yield the replies until the query is over."""
+        """The replies until the end of the query."""
         try:
             while not self._stopped():
                 reply = replies.try_recv()
@@ -117,36 +115,28 @@ class RecorderClient:
                 elif reply.ok is not None:
                     yield reply.ok
         except zenoh.ZError:
-            return  # Zenoh's way to say that the query has ended.
+            return  # The query has ended.
 
 
-QUERIES_WAITING: Final = 64  # requests that may wait between two passes of the loop; beyond it the oldest go
-
+QUERIES_WAITING: Final = 64  # requests that may wait for the loop; the oldest beyond it are dropped
 REQUESTS_PER_PASS: Final = 8
-
-FOR_ALL: Final = frozenset({"status"})
-"""Verbs that a query may send to every recorder at once. One query must not mark them all."""
-
-REPLIES_WAITING: Final = 128
-"""Replies that may wait for somebody's link; the zenoh package may wait 5 s for one that does not read."""
-
+FOR_ALL: Final = frozenset({"status"})  # verbs that one query may send to every recorder
+REPLIES_WAITING: Final = 128  # replies that may wait: zenoh may block 5 s for a client that does not read
 REQUEST_MAX_BYTES: Final = 4096
-
-NAMESAKES_S: Final = 1.0  # time in which the start listens for other recorders: the links to them take their time
-NAMESAKES_PAUSE_S: Final = 0.05  # pause between two queries for other recorders at the start
-
+NAMESAKES_S: Final = 1.0  # time of the search for other recorders at the start
+NAMESAKES_PAUSE_S: Final = 0.05  # pause between two of its queries
 NAMESAKES_MAX: Final = 100
 
 
 class RemoteControl:
-    """The recorder on Zenoh, from its beginning to ``close``. Nothing here raises once it is open."""
+    """The recorder's own keys on Zenoh, until ``close``. Nothing here raises once it is open."""
 
     def __init__(self, settings: Settings) -> None:
         self._root = settings.robot.root
-        self.listen = listen_beside(settings.zenoh)  # where it listens
+        self.listen = listen_beside(settings.zenoh)
         self._session = join(settings.zenoh, self.listen, own=SMALL_BATCHES)
         self.name = self._free_name(settings.recorder.name or host_name())
-        """Its name: the one that is set, or with a number behind it where another recorder has that."""
+        """The configured name, with a number if another recorder has it."""
         self._token = self._session.liveliness().declare_token(keys.of_recorder(self._root, self.name))
         self._queries = self._session.declare_queryable(
             keys.recorder_command(self._root, self.name, keys.ALL, keys.ALL),
@@ -170,7 +160,7 @@ class RemoteControl:
         try:
             self._publishers[type(message)].put(codec.encode(message))
         except zenoh.ZError as error:
-            log.debug("Zenoh does not take it: %s", error)
+            log.debug("cannot publish: %s", error)
 
     def drain(self) -> Iterator[OperatorRequest]:
         for _ in range(REQUESTS_PER_PASS):
@@ -206,20 +196,19 @@ class RemoteControl:
 
         def send(answer: RecorderReply) -> None:
             try:
-                # Whether it waits for room on the link is what the query says.
                 query.reply(key, msgspec.msgpack.encode(answer), encoding=verb.reply_encoding)
             except zenoh.ZError as error:
-                log.debug("nobody waits for the reply any more: %s", error)
+                log.debug("the client has stopped waiting for the reply: %s", error)
             query.drop()
 
         return OperatorRequest(operator, request, lambda answer: self._off_the_loop(partial(send, answer)))
 
     def _off_the_loop(self, work: Callable[[], None]) -> None:
-        """Do what may wait for somebody's link on a thread that may."""
+        """Run work that may block on another thread."""
         if self._replies_waiting.acquire(blocking=False):
             self._replier.submit(work).add_done_callback(lambda _: self._replies_waiting.release())
         else:
-            log.warning("nobody takes the replies; the newest ones are dropped")
+            log.warning("clients do not read the replies; the newest ones are dropped")
 
     def _free_name(self, wanted: str) -> str:
         taken: set[str] = set()
@@ -230,7 +219,7 @@ class RemoteControl:
         numbered = [wanted, *(f"{wanted}-{number}" for number in range(2, NAMESAKES_MAX))]
         name = next((one for one in numbered if one not in taken), wanted)
         if name != wanted:
-            log.warning("a recorder %s is there already; this one is %s", plain(wanted), plain(name))
+            log.warning("there is already a recorder %s; this one is %s", plain(wanted), plain(name))
         return name
 
     def _others(self) -> Iterator[str]:
@@ -247,7 +236,7 @@ def host_name() -> str:
 
 
 def listen_beside(settings: ZenohSettings) -> list[str]:
-    """Return the endpoints of a session beside the first: one port on, or as ``local_port`` has it."""
+    """Return the endpoints of the second session: the next ports, or as ``local_port`` chooses."""
     try:
         return next_ports(said_of(settings).listen) or local_port(settings)
     except ValueError as error:

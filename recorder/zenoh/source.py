@@ -1,7 +1,6 @@
 """Samples from Zenoh, whose own threads fill its ring channels; no Python of ours runs on them.
 
-Where several recorders share a fleet, it follows from a robot's name alone whose it is, so recorders need not know
-of each other.
+If several recorders share a fleet, a robot's name alone decides its recorder: recorders need not know each other.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class Shard(NamedTuple):
     total: int
 
     def has(self, robot: str) -> bool:
-        """True if the robot is this recorder's: the SHA-256 of its name, as a number, modulo the total."""
+        """True if the robot is this recorder's: by the SHA-256 of its name, as a number, modulo the total."""
         return int.from_bytes(sha256(robot.encode()).digest()) % self.total == self.number - 1
 
 
@@ -45,29 +44,25 @@ def shard_of(text: str) -> Shard:
 
 
 SMALL_BATCHES: Final[dict[str, Json]] = {"transport/link/tx/batch_size": 16_384}
-"""The links' batches, both ways. A sample that waits keeps all of the batch in memory that it came in: with
-Zenoh's own 64 KiB a recorder of 300 robots grew to 1.4 GB. Less would leave senders too little for a stall."""
+"""The links' batches, both ways. A waiting sample holds its whole batch in memory: with Zenoh's own 64 KiB a
+recorder of 300 robots grew to 1.4 GB. Less would leave senders too little for a stall."""
 
 REPLY_TIMEOUT_S: Final = 2.0  # longest wait of a query for its reply
 
 RING_SAMPLE_BYTES: Final = 3_200
-"""Of ``recorder.queue_bytes`` for a sample in Zenoh's own ring, of each key expression: 20,000 of them in 64 MB.
-There they wait while the loop is held up."""
+"""Share of ``recorder.queue_bytes`` for a sample in Zenoh's ring of a key expression: 20,000 samples in 64 MB."""
 
-DRAIN_BYTES: Final = 16_000_000  # payloads that one ``drain`` takes, about
-PENDING_MAX: Final = 64  # queries on their way at once; beyond it the oldest is given up
-
+DRAIN_BYTES: Final = 16_000_000  # approximate payloads of one ``drain``
+PENDING_MAX: Final = 64  # queries in flight; beyond it the oldest is given up
 TOKENS_WAITING: Final = 10_000
-
-REPLIES_WAITING: Final = 4 * KEPT_PIECE
-"""Replies to one query that may wait, of a piece and of others of the same name."""
+REPLIES_WAITING: Final = 4 * KEPT_PIECE  # replies to one query that may wait, also from gateways of the same name
 
 _Samples = zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]
 _Replies = zenoh.handlers.Handler[zenoh.Reply]
 
 
 class ZenohSample(msgspec.Struct, frozen=True, gc=False):
-    """A ``ReceivedSample`` from Zenoh. What is rarely needed is fetched when it is asked for."""
+    """A ``ReceivedSample`` from Zenoh. Rarely needed properties are read on demand."""
 
     key: str
     encoding: str
@@ -102,11 +97,7 @@ def _take(received: zenoh.Sample, *, is_reply: bool = False) -> ZenohSample:
 
 
 class ZenohSource:
-    """A Zenoh session that subscribes to key expressions.
-
-    Args:
-        key_expressions: those to subscribe to. A key that several of them match is received once.
-    """
+    """A Zenoh session that subscribes to key expressions. A key that matches several is received once."""
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], queue_samples: int) -> None:
         expressions = distinct(key_expressions)
@@ -120,7 +111,7 @@ class ZenohSource:
         self._tokens: Any = self._session.liveliness().declare_subscriber(
             keys.ANY_TOKEN, zenoh.handlers.RingChannel(TOKENS_WAITING), history=True
         )
-        self.is_behind = False  # true if more had come in than the last ``drain`` gave
+        self.is_behind = False  # more had come in than the last ``drain`` returned
         self._overlap = have_overlap(expressions)
         self._subscribe(expressions)
 
@@ -167,7 +158,7 @@ class ZenohSource:
                 yield str(token.key_expr)
 
     def ask(self, key: str, parameters: str = "") -> None:
-        # Not a ring: that one forgets the reply when the query ends before it is taken.
+        # Not a ring: it drops the reply when the query ends before it is read.
         replies: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(REPLIES_WAITING)
         handler = self._session.get(
             f"{key}?{parameters}" if parameters else key,
@@ -176,7 +167,7 @@ class ZenohSource:
             target=zenoh.QueryTarget.BEST_MATCHING,
             # Several replies have one key, and all of them count.
             consolidation=zenoh.ConsolidationMode.NONE,
-            # Replies have it too: one that waits for room would hold up the gateway's samples behind it.
+            # Replies inherit it: a blocked reply would delay the gateway's samples.
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW,
         )
@@ -186,7 +177,7 @@ class ZenohSource:
         close_session(self._session)
 
     def _subscribe(self, expressions: Iterable[zenoh.KeyExpr]) -> None:
-        """Subscribe to these, too; none of them includes another, or one that there is."""
+        """Subscribe to more expressions, none of which includes another."""
         for expression in expressions:
             self._subscribers[expression] = self._session.declare_subscriber(
                 expression, zenoh.handlers.RingChannel(self._queue_samples)
@@ -203,12 +194,12 @@ class ZenohSource:
                     if reply.ok is not None and str(reply.ok.key_expr) == key:
                         yield _take(reply.ok, is_reply=True)
             except zenoh.ZError:
-                continue  # Zenoh's way to say that nothing more will come.
+                continue  # The query has ended.
             waiting.append((key, handler))
         self._pending = waiting
 
     def _owner(self, key: zenoh.KeyExpr) -> zenoh.KeyExpr:
-        """The first expression that matches the key: its subscriber's sample counts, the others' are copies."""
+        """The first expression that matches the key: the samples of the other subscribers are copies."""
         text = str(key)
         owner = self._owners.get(text)
         if owner is None:
@@ -235,24 +226,21 @@ def distinct(texts: Sequence[str]) -> list[zenoh.KeyExpr]:
 
 
 def have_overlap(expressions: Sequence[zenoh.KeyExpr]) -> bool:
-    """Return True if a key may match two of them."""
+    """Return True if a key may match two expressions."""
     return any(one.intersects(other) for index, one in enumerate(expressions) for other in expressions[:index])
 
 
 ROBOT_SAMPLES: Final = 1_000
-"""Samples of a robot that may wait for each key expression, 1.4 s of a robot at its full rate. A ring takes all of
-its memory at once."""
+"""Samples of a robot that may wait per key expression: 1.4 s at full rate. A ring allocates all its memory."""
 
-ROBOTS_MAX: Final = 20_000  # robots that are subscribed to at most: anybody may declare a token
+ROBOTS_MAX: Final = 20_000  # robots that are subscribed to: tokens are untrusted
 
 
 class ShardedSource(ZenohSource):
-    """A Zenoh session that subscribes to the keys of one robot after the other, as they turn up.
-
-    A robot is known by its gateway's liveliness token, and stays known when that is gone.
+    """A Zenoh session that subscribes to the keys of each robot when its gateway's liveliness token appears.
 
     Args:
-        key_expressions: what of each robot is recorded; the robot's chunk of a key is a robot or a wildcard.
+        key_expressions: the keys to record of each robot; the robot's chunk is a robot or a wildcard.
     """
 
     def __init__(self, settings: ZenohSettings, key_expressions: Sequence[str], root: str, own: Shard) -> None:
@@ -260,15 +248,14 @@ class ShardedSource(ZenohSource):
         self._expressions = [str(one) for one in distinct(key_expressions)]
         for expression in self._expressions:
             if of_robot(expression, root, "") is None:
-                raise CommandError(
-                    f"shards are parts of the robots under {root}, and {expression!r} names none", ExitCode.USAGE
-                )
+                text = f"{expression!r} names no robot under {root}, so it cannot be split into shards"
+                raise CommandError(text, ExitCode.USAGE)
         super().__init__(settings, [], ROBOT_SAMPLES)
         self._overlap = have_overlap(distinct(key_expressions))
         self._robots: set[str] = set()
 
     def tokens_gone(self) -> Iterator[str]:
-        """The keys of the liveliness tokens that are gone since the last call, of the robots recorded here."""
+        """Keys of the liveliness tokens lost since the last call, of the robots of this shard."""
         while (token := self._tokens.try_recv()) is not None:
             robot = keys.robot_of_liveliness(self._root, str(token.key_expr))
             if robot is None or not self._own.has(robot):
@@ -284,13 +271,10 @@ class ShardedSource(ZenohSource):
 
 
 def of_robot(expression: str, root: str, robot: str) -> str | None:
-    """Return what of a key expression is one robot's.
-
-    Args:
-        robot: its name; empty for what is any robot's.
+    """Restrict a key expression to one robot; an empty name stands for any robot.
 
     Returns:
-        A key expression under the robot's keys; empty if the expression is of other robots; None if it is of none.
+        A key expression under the robot's keys; empty if it is of other robots; None if it is of none.
     """
     if expression in {"**", f"{root}/**"}:
         return f"{root}/{robot}/**"

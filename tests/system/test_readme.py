@@ -94,7 +94,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser reset cruiser-1 --json": Run("", first=("cruiser reset cruiser-1",)),
     # A recorder.
     "cruiser record status": Run("messages written", first=("cruiser record -o logs",)),
-    "cruiser record mark -m 'it swerved'": Run("an incident keeps"),
+    "cruiser record mark -m 'it swerved'": Run("incident recorded"),
     "cruiser review recover FILE...": Run("whole"),
     # A log.
     "cruiser review events demo-log": Run("the front bumper was hit"),

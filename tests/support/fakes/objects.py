@@ -49,7 +49,7 @@ class FakeObjects:
                 raise StoreError("connection reset by peer")
         data = self.objects.get(name)
         if data is None or (e_tag and mark_of(data) != e_tag):
-            raise StoreError("it was changed or removed while it was read: ask again")
+            raise StoreError("it was changed or removed while it was read: try again")
         self.fetched += end - start
         return data[start:end]
 
@@ -62,7 +62,7 @@ class FakeObjects:
 
     def _answer(self, name: str) -> None:
         if self.is_gone:
-            raise StoreError("nobody answers: is the store's endpoint right, and the network there?")
+            raise StoreError("no answer: check the store's endpoint and the network")
         if name in self.refused:
             raise StoreError("the store refuses it: give credentials that may read it")
 

@@ -40,7 +40,7 @@ ENDED: Final = "the robot stands; 180 frames sent"
 NOTE: Final = (
     "2026-11-22T06:00:00.000+00:00 guard: the gateway is gone, last heartbeat 51 ms ago: stopping the robot"
 )
-GONE: Final = "the gateway died, or the link to it: its token is gone, and it was engaged, and told 0.60 m/s"
+GONE: Final = "the gateway or the link to it died: its token is gone; last state engaged at 0.60 m/s"
 
 
 class Scenario(msgspec.Struct, frozen=True):

@@ -81,7 +81,7 @@ def test_a_budget_is_kept_and_the_oldest_logs_go(
     left = logs_in(tmp_path)
     assert {incident.name, "notes.txt"} <= set(left)
     assert not set(deleted) & set(left)
-    assert f"{deleted[0]} was deleted for want of room" in err
+    assert f"{deleted[0]} was deleted to free disk space" in err
     found = [read_info(path) for path in whole(tmp_path)]
     assert [one.findings for one in map(check_log, whole(tmp_path)) if not one.whole] == []
     assert [(one.path, one.bytes) for one in found if one.bytes >= budget] == []
@@ -118,7 +118,7 @@ def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
         assert told.wait_for_health().dropped["full"] > 0
         code, out, _ = ask("status", "--connect", endpoint)
         assert code == ExitCode.OK
-        assert out.startswith("bench: the disk may hold no more: nothing is written but incidents\n")
+        assert out.startswith("bench: disk full: recording incidents only\n")
         ballast.unlink()
         wait_until(lambda: len(told.events(RecorderEventKind.FULL)) == 2)
         wait_until(partial(heard, peer, small_disk, "last"))

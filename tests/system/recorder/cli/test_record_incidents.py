@@ -156,6 +156,6 @@ def test_the_death_of_a_gateway_at_work_keeps_what_came_before(endpoint: str, tm
     assert code == ExitCode.OK
     (incident,) = tmp_path.glob("cruiser-1-*.incident.mcap")
     found = read_info(incident)
-    assert "the gateway died, or the link to it" in found.metadata[INCIDENT_NAME]["because"]
+    assert "the gateway or the link to it died" in found.metadata[INCIDENT_NAME]["because"]
     assert counts(found)[key_of(SafetyState)] > 0
     assert "it was engaged, and told 0.60 m/s" in err

@@ -157,7 +157,7 @@ def test_an_answer_without_an_end_fills_no_memory() -> None:
                 sent.append(len(DATA))
         return True
 
-    with served(endless) as (objects, _), pytest.raises(StoreError, match="sent more where 1000 were asked for"):
+    with served(endless) as (objects, _), pytest.raises(StoreError, match="sent more instead of 1000"):
         objects.read("a.mcap", 0, 1000, "one")
     with served(endless) as (objects, _):
         logs = LogStore(objects._place.url, {"allow_http": True})

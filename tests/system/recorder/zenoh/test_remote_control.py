@@ -264,4 +264,4 @@ def test_recorders_of_one_name_are_told_apart(
         wait_until(lambda: client.tokens() == {"fleet/@recorder/bench-2", "fleet/@recorder/bench-3"})
         again = stack.enter_context(closing(RemoteControl(settings(endpoint))))
         assert again.name == "bench"
-    assert "a recorder bench is there already; this one is bench-2" in caplog.text
+    assert "there is already a recorder bench; this one is bench-2" in caplog.text

@@ -248,11 +248,11 @@ $ export --json -o set drive.mcap => {"inputs": [{"rows": 29}], "files": [{}, {}
 == raw frames are one file a robot, and none is written over [drive.mcap drive-2.mcap]
 $ export --format candump -o candump drive.mcap drive-2.mcap
     cruiser-1.log: 5 frames | cruiser-2.log: 5 frames | #2
-1$ export --format candump -o candump drive.mcap drive-2.mcap => is there already
+1$ export --format candump -o candump drive.mcap drive-2.mcap => exists, and is not overwritten
 == CSV is one file a topic, of chosen topics alone [drive.mcap]
 $ export --format csv --topic 'chassis/*' -o out drive.mcap
     = "out/fleet.cruiser-1.chassis.gear.csv: 20 rows\n"
-1$ export --format csv -o out drive.mcap => is there already
+1$ export --format csv -o out drive.mcap => exists, and is not overwritten
 == a place on a network is refused [drive.mcap]
 2$ export --format parquet -o s3://b/logs drive.mcap => s3:/b/logs is no directory | (aws s3 sync
 2$ export --format csv -o s3://b/logs drive.mcap => s3:/b/logs is no directory | (aws s3 sync

@@ -260,6 +260,6 @@ def test_a_mark_counts_for_what_the_recorder_has_seen_itself(
     keeper = Keeper(tmp_path, DiskLimits(budget_bytes=2500))
     assert [keeper.look(), keeper.look()] == [[], [Deleted(old, 1000)]]
     assert {incident, safe} < set(logs_in(tmp_path))
-    assert [one.message for one in caplog.records if "no upload is believed" in one.message] == [
-        f"{incident} is not what an upload says of it: until the next start no upload is believed"
+    assert [one.message for one in caplog.records if "uploads are ignored" in one.message] == [
+        f"{incident} differs from its upload: uploads are ignored until the next start"
     ]

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from recorder.disk import keeper
-from recorder.disk.files import LogDirectory, lock
+from recorder.disk.files import LogDirectory
 from recorder.disk.keeper import (
     LeftoverThread,
     Recovery,
@@ -22,6 +22,7 @@ from recorder.disk.keeper import (
     recover,
     recover_leftovers,
 )
+from recorder.disk.log_names import lock
 from recorder.record.actions import DiskBack, DiskRoom, Recovered
 from recorder.record.signed_mode import LogSigner
 from recorder.review.check import check_log
@@ -144,7 +145,7 @@ def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
 def leaves(free: int) -> dict[str, Any]:
     """A disk with so much room, on which nothing may even be begun."""
     usage = SimpleNamespace(free=free)
-    return {"shutil.disk_usage": lambda _: usage, "copy_good": failing(errno.EIO), "_finish": failing(errno.EIO)}
+    return {"shutil.disk_usage": lambda _: usage, "copy_good": failing(errno.EIO), "_end_with": failing(errno.EIO)}
 
 
 NO_ROOM = os.strerror(errno.ENOSPC)
@@ -242,7 +243,7 @@ def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.
 
 def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither before, nor again after that: where nothing has failed, room is no reason to look."""
-    monkeypatch.setattr(keeper, "_finish", failing(errno.ENOSPC))
+    monkeypatch.setattr(keeper, "_end_with", failing(errno.ENOSPC))
     part(tmp_path, LOG[:SUMMARY])
     thread = looked(tmp_path)
     for notice, tries in ((FULL, 1), (ROOM, 2)):

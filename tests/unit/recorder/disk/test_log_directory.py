@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from recorder.disk import files
+from recorder.disk import files, log_names
 from recorder.disk.files import (
     NAME,
     LogDirectory,
@@ -21,9 +21,9 @@ from recorder.disk.files import (
     SafeLogReader,
     UploadedLog,
     UploadNote,
-    lock,
     safe_name,
 )
+from recorder.disk.log_names import lock
 from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.rows import file_name
@@ -143,11 +143,11 @@ def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.Monkey
     """One that another start has taken for a leftover is left to it; where there are no locks it is written."""
     with monkeypatch.context() as knobs:
         answers = iter([False, True])
-        knobs.setattr(files, "lock", lambda _: next(answers))
+        knobs.setattr(log_names, "lock", lambda _: next(answers))
         log = opened(tmp_path)
         assert log.path.name == f"{STEM}-2.mcap.part"
         log.salvage()
-    monkeypatch.setattr(files, "lock", failing(errno.ENOLCK))
+    monkeypatch.setattr(log_names, "lock", failing(errno.ENOLCK))
     log = opened(tmp_path)
     log.write(chunk(1))
     log.write(CloseLog("x"))

@@ -105,7 +105,7 @@ def test_a_stream_may_take_a_little_at_a_time(at_once: int) -> None:
 
 def test_a_stream_that_takes_nothing_is_an_error() -> None:
     """Rather than waiting for ever."""
-    with pytest.raises(OSError, match="takes no bytes"):
+    with pytest.raises(OSError, match="accepts no bytes"):
         McapFile(Disk(at_once=0), "test")
 
 

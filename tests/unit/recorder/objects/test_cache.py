@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from recorder.disk.log_names import lock_own
 from recorder.objects import cache as caches
 from recorder.objects.address import StoreAddress
 from recorder.objects.cache import LogCache, cache_directory
@@ -78,7 +79,7 @@ def test_what_is_not_what_was_uploaded_is_no_copy(tmp_path: Path, store: FakeObj
         store.breaks_after = None
         (part,) = tmp_path.rglob("*.fetched")
         part.write_bytes(bytes(2000))
-    with pytest.raises(CommandError, match="it is not what was uploaded"):
+    with pytest.raises(CommandError, match="it differs from the upload"):
         fetched(store, tmp_path)
     assert not list(tmp_path.rglob("a.mcap"))
     store.objects["r/a.mcap"] = DATA
@@ -119,7 +120,7 @@ def test_a_copy_that_another_process_fetches_is_waited_for(tmp_path: Path, store
     store.ranges.clear()
     told: list[int] = []
     with part.open("r+b") as other:
-        assert caches._lock(other.fileno())
+        assert lock_own(other.fileno())
 
         def end_the_other(count: int) -> None:
             told.append(count)
@@ -142,5 +143,5 @@ def test_copies_are_where_the_user_keeps_such_things() -> None:
 def test_a_disk_that_takes_no_copy_is_said_in_a_line(tmp_path: Path, store: FakeObjects) -> None:
     """With the directory."""
     (tmp_path / "file").write_text("")
-    with pytest.raises(CommandError, match=r"cannot keep a copy of s3://.*Not a directory"):
+    with pytest.raises(CommandError, match=r"cannot store a copy of s3://.*Not a directory"):
         fetched(store, tmp_path / "file")

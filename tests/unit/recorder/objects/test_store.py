@@ -61,7 +61,7 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
     )
     with pytest.raises(StoreError, match="changed or removed"):
         objects.read("a.mcap", 0, 10, "another")
-    with pytest.raises(StoreError, match="sent 100 bytes where 110 were asked for"):
+    with pytest.raises(StoreError, match="sent 100 bytes instead of 110"):
         objects.read("a.mcap", 100, 210, "")
 
 
@@ -73,7 +73,7 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
         (PermissionError(13, "no"), "the store refuses it: "),
         (
             GenericError("error sending request\n\nDebug: insides"),
-            "error sending request: is the store's endpoint",
+            "error sending request: check the store's endpoint",
         ),
         (GenericError("Server returned 403 Forbidden"), "403 Forbidden: give credentials"),
         (
@@ -88,7 +88,7 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
                 "Generic HTTP error: Error performing HEAD http://127.0.0.1:40321/credential-401/a in 448.03µs - "
                 "HTTP error: error sending request"
             ),
-            "error sending request: is the store's endpoint",
+            "error sending request: check the store's endpoint",
         ),
         (GenericError("Unable to open file /logs/403/a.mcap"), r"Unable to open file /logs/403/a\.mcap$"),
         (GenericError("strange"), "strange"),

@@ -70,14 +70,14 @@ def test_a_mark_names_its_incidents() -> None:
 @pytest.mark.parametrize(
     ("mark", "detail"),
     [
-        (Mark("", "c"), "nothing of c has been heard"),
-        (Mark("", "a"), "the disk has no more room for marks"),
+        (Mark("", "c"), "no data received from c"),
+        (Mark("", "a"), "the disk space for marks is used up"),
     ],
 )
 def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
     """With the reason."""
     desk = Desk()
-    assert desk.ask(Mark()).answer.detail == "nothing has been heard"
+    assert desk.ask(Mark()).answer.detail == "no data received"
     unread = desk.ask(PayloadFault("no such field")).answer
     assert (unread.ok, unread.detail) == (False, "no such field")
     desk.hear("a")
@@ -95,7 +95,7 @@ def test_a_flood_of_marks_is_refused() -> None:
     asked = [desk.ask(Mark(f"mark {number}")) for number in range(MARKS_AT_ONCE + 2)]
     desk.notice()
     assert [one.answer.ok for one in asked] == [True] * MARKS_AT_ONCE + [False] * 2
-    assert asked[-1].answer.detail == "too many marks; the next one is taken in 300 s"
+    assert asked[-1].answer.detail == "too many marks; try again in 300 s"
     for more in (1, 1, MARKS_AT_ONCE):
         desk.now_ns += more * MARK_EVERY_NS
         asked = [desk.ask(Mark()) for _ in range(more + 1)]
@@ -111,7 +111,7 @@ def test_marks_leave_room_for_incidents_of_faults() -> None:
         desk.room(has_room=has_room)
         desk.has_mark_room = has_mark_room
         answer = desk.ask(Mark()).answer
-        assert (answer.ok, answer.detail) == (False, "the disk has no more room for marks")
+        assert (answer.ok, answer.detail) == (False, "the disk space for marks is used up")
         assert desk.recorder.has_incident_room
     assert desk.recorder.incidents == 0
 
@@ -128,7 +128,7 @@ def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
     desk.orders.tick(REPLY_NS)
     assert asked.answer.ok
     assert asked.answer.files == ["a-0.incident.mcap"]
-    assert asked.answer.detail.endswith("; the disk has not done it yet")
+    assert asked.answer.detail.endswith("; not yet on disk")
     desk.orders.tick(2 * REPLY_NS)
 
 

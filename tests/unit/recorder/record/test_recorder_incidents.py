@@ -90,7 +90,7 @@ def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:
     assert bench.recorder.incidents == 1
     assert len(times(incident)) == 2
     (cut,) = [one for one in bench.events() if "ended early" in one.text]
-    refused = [one for one in bench.events() if one.text.endswith("none is kept of cruiser-1: stop: as it were")]
+    refused = [one for one in bench.events() if one.text.endswith("is used up: stop: as it were")]
     assert [(one.kind, one.severity) for one in refused] == [(RecorderEventKind.INCIDENT, Severity.ERROR)] * 2
     assert (cut.kind, cut.severity, cut.file) == (RecorderEventKind.INCIDENT, Severity.ERROR, incident.name)
 
@@ -192,7 +192,7 @@ def test_a_gateway_that_dies_at_work_is_an_incident(bench: RecorderRig, restart_
     assert bench.recorder.incidents == 1
     (gone,) = [one for one in bench.events() if one.kind is RecorderEventKind.GATEWAY]
     assert (gone.robot, gone.severity, gone.time_ns) == ("cruiser-1", Severity.ERROR, dead_ns)
-    assert "its token is gone, and it was engaged, and told 0.60 m/s" in gone.text
+    assert "last state engaged at 0.60 m/s" in gone.text
     bench.close()
     (incident,) = bench.writer.files["cruiser-1!"]
     held = [log_ns for topic, log_ns in messages(incident) if topic == key_of(SafetyState)]

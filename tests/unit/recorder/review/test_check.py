@@ -149,7 +149,7 @@ def held(said: int, found: int, name: str) -> str:
 OF_CHUNK = "the summary's index of a chunk is wrong"
 TIMES = "a chunk's times are not those of its messages"
 BEHIND = "the message indexes behind a chunk are wrong"
-PACKED = "a chunk cannot be read: its compression 'zstx' is not known here"
+PACKED = "a chunk cannot be read: its compression 'zstx' is not supported"
 WHOLE = "the file's first and last time are not those of its messages"
 
 

@@ -268,7 +268,7 @@ def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Pat
     [
         ("cuts", 1, "connection reset by peer"),
         ("spoils", 1, ""),
-        ("spoils", uploader.TRIES, "the store does not hold it as it was sent"),
+        ("spoils", uploader.TRIES, "the store's copy differs"),
     ],
 )
 def test_a_log_that_the_store_loses_or_spoils_is_never_called_safe(
@@ -344,7 +344,7 @@ def test_a_store_that_answers_as_of_a_while_ago_takes_no_log_twice_and_loses_non
     store.is_old = True
     assert upload(tmp_path, store).uploaded == 0
     totals = upload(tmp_path, store)
-    assert totals.faults == {LOG: f"cruiser-1/{LOG} has a manifest, which cannot be read yet"}
+    assert totals.faults == {LOG: f"the manifest of cruiser-1/{LOG} cannot be read yet"}
     store.is_old = False
     assert upload(tmp_path, store).uploaded == 1
     assert set(store.objects) == {f"cruiser-1/{LOG}", f"cruiser-1/{LOG}.json"}
