@@ -137,6 +137,8 @@ def _of_rerun(result: RerunResult) -> Iterator[str]:
             yield f"  not in the log, so not compared: {lost}"
         if result.given_up:
             yield f"  {result.given_up} messages found no counterpart in time, and were not compared"
+        if result.reworded:
+            yield f"  {result.reworded} messages differ only in their wording"
         yield f"  different: {result.difference_count}"
     for difference in result.differences[:TOLD]:
         yield f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}"

@@ -182,6 +182,10 @@ Key = tuple[str, int, int | bytes]
 """The subject, the publish time in nanoseconds since 1970, and what else distinguishes messages of that time."""
 
 
+WORDS: Final = frozenset({"detail", "stop_detail", "text"})
+"""Fields of decisions, states and events that hold words for people: beside each stands the reason."""
+
+
 class Difference(msgspec.Struct, frozen=True):
     """A message that is not the same.
 
@@ -204,6 +208,7 @@ class Comparison:
     Attributes:
         unrecorded: messages that come out again and are not in the log, by subject: it lost them, or was not to
             hold them.
+        reworded: messages that differ only in their words for people: another version may phrase them differently.
         given_up: messages that waited too long for their counterpart, or came too long after it.
         begins_ns, ends_ns: the times of the first message with a sequence and of the newest of all that came out
             again, since 1970; ``begins_ns`` is None before.
@@ -215,6 +220,7 @@ class Comparison:
         self.differences: list[Difference] = []
         self.difference_count = 0
         self.unrecorded: Counter[str] = Counter()
+        self.reworded = 0
         self.given_up = 0
         self.begins_ns: int | None = None
         self.ends_ns = 0
@@ -298,7 +304,10 @@ class Comparison:
             for name in then.__struct_fields__
             if (before := getattr(then, name)) != (after := getattr(now, name))
         }
-        self._differ(Difference(subject, key[1], "changed", fields))
+        if fields and fields.keys() <= WORDS:
+            self.reworded += 1
+        else:
+            self._differ(Difference(subject, key[1], "changed", fields))
 
     def _differ(self, difference: Difference) -> None:
         self.difference_count += 1
@@ -348,6 +357,7 @@ class RerunResult(msgspec.Struct, frozen=True):
         unrecorded: messages that come out again and are not in the log.
         difference_count: messages that differ; ``differences`` are the first ones.
         given_up: messages that waited too long for their counterpart to be compared.
+        reworded: messages that differ only in their words for people.
         rules: the command rules under which the run was made, as in ``schemas.journal``.
     """
 
@@ -363,6 +373,7 @@ class RerunResult(msgspec.Struct, frozen=True):
     difference_count: int
     differences: list[Difference]
     given_up: int
+    reworded: int = 0
     rules: int = COMMAND_RULES
 
     @property
@@ -468,6 +479,7 @@ class RerunPlayer:
             difference_count=comparison.difference_count,
             differences=comparison.differences,
             given_up=comparison.given_up,
+            reworded=comparison.reworded,
             rules=self._rules,
         )
 
