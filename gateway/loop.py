@@ -349,7 +349,7 @@ def warn_of_bars(bars: dict[Reason, str]) -> None:
     """Say why nobody can engage this robot."""
     for reason, words in bars.items():
         text = of_a_robot(reason, bars)
-        log.warning("nobody can engage this robot: %s: %s; %s", text.means, words, text.cure)
+        log.warning("the robot cannot be engaged: %s: %s; %s", text.means, words, text.cure)
 
 
 def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | None, now_ns: int) -> list[Sample]:

@@ -101,7 +101,7 @@ class Arbiter:
         if lease is None:
             return
         self.leases.end(reason)
-        text = f"{lease.operator} loses the lease: {TEXTS[reason].means}; {detail}"
+        text = f"{lease.operator} lost the lease: {TEXTS[reason].means}; {detail}"
         self.outbox.add_event(Severity.WARNING, EventKind.LEASE, reason, text, lease.operator)
         if self.state in COMMANDING:
             self.engagement.begin_stop(reason, now_ns, detail, lease.operator)
@@ -170,14 +170,14 @@ class Arbiter:
             engagement.forget_rest()
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):
             # It was left while it was being told something, and may obey that again: nothing resumes by itself.
-            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by what it was told before")
+            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by an earlier command")
         elif (
             engagement.owes_stop
             and not is_taken
             and engagement.is_loose
             and not self.handover.is_blind(chassis, now_ns)
         ):
-            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "a stop could not be carried out before")
+            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "an earlier stop could not be carried out")
         elif self.monitor.found_moving(now_ns):
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns)
 
@@ -219,7 +219,7 @@ class Arbiter:
         # It stays lower until the robot is engaged again: limits are never raised while it is driven.
         setpoint.limits = self._lowered(setpoint.limits)
         if engagement.state is ArbiterState.ENGAGING and now_ns >= engagement.engage_until_ns:
-            engagement.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the mode does not read auto")
+            engagement.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the chassis did not switch to mode auto")
         silent_ns = now_ns - self.link.fresh_ns
         if engagement.state is ArbiterState.ENGAGED and silent_ns > self.link.age.deadman_ns:
             engagement.begin_stop(Reason.DEADMAN, now_ns, self.link.age.silence(silent_ns))

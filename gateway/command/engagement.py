@@ -257,7 +257,7 @@ class Engagement:
     def shut_down(self, now_ns: int) -> None:
         """Bring the robot to rest, and reject further engage requests: the gateway shuts down."""
         self.is_closing = True
-        text = "the gateway ends, as it was told to"
+        text = "shutting down"
         self.outbox.add_event(Severity.INFO, EventKind.GATEWAY, Reason.SHUTDOWN, text)
         if self.state in COMMANDING:
             self.begin_stop(Reason.SHUTDOWN, now_ns)
@@ -267,10 +267,10 @@ class Engagement:
         actuation = self.output.step_stop(sequence, self.monitor, now_ns, late_ns)
         if sequence.lacks_brake(now_ns) and not self._is_brake_missed:
             self._is_brake_missed = True
-            text = "the parking brake does not read applied; the motor holds the robot in gear meanwhile"
+            text = "the parking brake does not read applied; the motor holds the robot in gear until it does"
             self.outbox.add_event(Severity.ERROR, EventKind.FAULT, Reason.NOT_CONFIRMED, text)
         if sequence.stays and Reason.BRAKE_SLIPS not in self.latches.details:
-            moved = f"it moved {sequence.returns} times when the enables were gone"
+            moved = f"it moved {sequence.returns} times without enables"
             detail = f"{moved if sequence.returns else 'it rolled behind the brake'}; it stays in gear"
             self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
         if actuation is None:
@@ -308,7 +308,7 @@ class Engagement:
         self.stop_reason, self.stop_detail = reason, ""
         self.outbox.refuse_pending(reason, "")
         kind = EventKind.GUARD if reason is Reason.GUARD else EventKind.TAKEOVER
-        text = f"nothing is sent any more: {_in_words(reason, detail)}"
+        text = f"commanding ended: {_in_words(reason, detail)}"
         self.outbox.add_event(Severity.WARNING, kind, reason, text)
 
     @property
@@ -323,12 +323,11 @@ class Engagement:
         self.owes_stop = monitor.chassis.brake is not ParkingStatus.APPLIED
         self._go(Trigger.REST)
         is_seen = monitor.stands and monitor.is_rest_confirmed
-        stands = "and stands" if is_seen else f"but {monitor.rest(now_ns)}"
+        text = "at standstill, no commands sent" if is_seen else f"no commands sent, but {monitor.rest(now_ns)}"
         if monitor.is_commanded_by_other(now_ns):
-            stands = "but another computer commands it, and can move it"
+            text = "no commands sent, but another computer commands the robot and can move it"
         severity = Severity.INFO if is_seen else Severity.ERROR
-        text = f"stopped: the robot is told nothing, {stands}"
-        self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, text)
+        self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, f"stopped: {text}")
 
     def _begin_output(self, last: Actuation) -> None:
         """Begin to command the chassis; ``last`` is the command that it must have had before."""

@@ -166,14 +166,16 @@ class Stillness:
                 return ""
             counted_km = (chassis.total_mileage_km or 0.0) - (self._mileage_km or 0.0)
             if chassis.pulses:
-                return "drive feedback and wheel speeds read zero, the wheel pulses count"
+                return "drive feedback and wheel speeds read zero, but the wheel pulses count"
             if counted_km >= FROZEN_STANDING_KM - _HAIR:
-                return f"drive feedback and wheel speeds read zero, the mileage counts {counted_km * 1e3:.0f} m"
+                return (
+                    f"drive feedback and wheel speeds read zero, but the mileage rose by {counted_km * 1e3:.0f} m"
+                )
             return ""
         changed_mps = min(map(sub, self._highest_mps, self._lowest_mps))
         if now_ns - self._since_ns < FROZEN_NS or changed_mps <= FROZEN_COMMAND_MPS or chassis.speed_mps is None:
             return ""
-        return f"drive feedback and wheel speeds do not change, the command has by {changed_mps:.2f} m/s"
+        return f"drive feedback and wheel speeds unchanged while the command changed by {changed_mps:.2f} m/s"
 
 
 class Plausibility:
@@ -211,7 +213,7 @@ class Plausibility:
         self._envelope.follow(told, elapsed_s)
         self._count_way(chassis, elapsed_s)
         self._stillness.look(chassis, told, self._envelope.lagging_mps, now_ns)
-        frozen = f"the mileage, for {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
+        frozen = f"mileage unchanged over {self._driven_m:.1f} m" if self._driven_m > FROZEN_BODY_M else ""
         still = self._stillness.frozen(chassis, now_ns) if is_engaged else ""
         runs = self._runaway(chassis, now_ns)
         too_fast = Reason.OVERSPEED if self._overspeed(chassis, limit_mps) else Reason.IMPLAUSIBLE_SPEED
@@ -257,9 +259,9 @@ class Plausibility:
         ratio = self._design.scale_ratio
         fit = fitting_scale(drive_mps, wheel_mps, ratio) or fitting_scale(reference_mps, wheel_mps, ratio)
         if exceeds(wheel_mps, reference_mps):
-            return f"the wheels turn {way} at {wheel_mps:.2f} m/s, commanded is {reference_mps:.2f} m/s{fit}"
+            return f"the wheels turn {way} at {wheel_mps:.2f} m/s, commanded {reference_mps:.2f} m/s{fit}"
         if not fits(wheel_mps, drive_mps):
-            return f"the wheels turn at {wheel_mps:.2f} m/s, the drive feedback says {drive_mps:.2f} m/s{fit}"
+            return f"the wheels turn at {wheel_mps:.2f} m/s, drive feedback reads {drive_mps:.2f} m/s{fit}"
         return ""
 
     def _rolling(self, chassis: ChassisState, told: Actuation, bound_mps: float) -> str:
@@ -302,7 +304,7 @@ class Plausibility:
         is_over = speed_mps >= commanded_mps + OVERSPEED_MPS - _HAIR
         if not is_over or speed_mps <= min(before_mps for _, before_mps in speeds) + RUNAWAY_RISE_MPS + _HAIR:
             return ""
-        return f"{speed_mps:.2f} m/s and rising, commanded is {commanded_mps:.2f} m/s"
+        return f"{speed_mps:.2f} m/s and rising, commanded {commanded_mps:.2f} m/s"
 
     def _not_moving(self, chassis: ChassisState, told: Actuation) -> str:
         """Commanded to move for so long that it should, and seen to stand."""
@@ -316,7 +318,7 @@ class Plausibility:
             # Heavy, uphill: it gathers speed, and does not stand. Noise does so once.
             self._slowest_mps = fastest_mps
             return ""
-        return f"commanded is {told.speed_mps:.2f} m/s, seen are {fastest_mps:.2f} m/s"
+        return f"commanded {told.speed_mps:.2f} m/s, measured {fastest_mps:.2f} m/s"
 
     def _deviation(self, chassis: ChassisState) -> str:
         angle_deg = chassis.angle_deg

@@ -96,7 +96,7 @@ class Verbs:
         if isinstance(request, PayloadFault):
             return Ruling(Reason.MALFORMED, request.detail[:200])
         if not raw.operator:
-            return Ruling(Reason.MALFORMED, "the operator's chunk of the key is not of its form")
+            return Ruling(Reason.MALFORMED, "the operator's name in the key is not valid")
         return _as_granted(request, raw.credentials or _NOTHING_PROVEN) if self._is_signed else request
 
     def _stop(self, raw: RawRequest, now_ns: int) -> Ruling:
@@ -130,7 +130,7 @@ class Verbs:
         is_told = (
             self._engagement.state is ArbiterState.STOPPING and chassis.bus_up and chassis.mode is not Mode.REMOTE
         )
-        done = "told, but not known to be obeyed" if is_told else "not carried out"
+        done = "commanded, but not confirmed" if is_told else "not carried out"
         return Ruling(obstacle, f"latched; {done}: {does}")
 
     def _acquire(self, request: requests.Acquire, operator: str, now_ns: int) -> Ruling:
@@ -144,7 +144,7 @@ class Verbs:
     def _take(self, request: requests.Take, operator: str, now_ns: int) -> Ruling:
         held = self._leases.held
         if held is not None and not request.override and not self._monitor.stands:
-            return Ruling(Reason.MOVING, "or is not seen to stand; override takes it all the same")
+            return Ruling(Reason.MOVING, "or is not seen to stand; override takes the lease anyway")
         lease = self._leases.take(operator, request.role, now_ns)
         if isinstance(lease, Reason):
             return Ruling(lease, f"{held.operator} holds it as {held.role.value}" if held is not None else "")
@@ -219,7 +219,10 @@ class Verbs:
             return Ruling(self._latches.newest, detail, lease=request.lease, cure=cure)
         unseen = self._unseen_reason(request.challenge, now_ns)
         if unseen is not Reason.NONE:
-            detail, cure = "it was made before this was to be seen", "look at what is latched now, and reset that"
+            detail, cure = (
+                "the reset was sent before this could be seen",
+                "look at what is latched now, then reset again",
+            )
             return Ruling(unseen, detail, lease=request.lease, cure=cure)
         others = [name for name in self._latches.stopped_by if name != operator]
         if others and request.of != others[0]:
@@ -283,7 +286,7 @@ class Verbs:
 
     def _reset_odometry(self, request: requests.ResetOdometry, operator: str, _now_ns: int) -> Ruling:
         """Accept it at any time, also in motion: no rule of the arbiter depends on the pose."""
-        text = "the pose of the odometry is zero here"
+        text = "odometry reset: the pose is zero here"
         self._outbox.add_event(Severity.INFO, EventKind.RESET, Reason.NONE, text, operator)
         return Ruling(lease=request.lease)
 
@@ -331,7 +334,7 @@ def _as_granted(request: requests.Request, credentials: Credentials) -> requests
         return Ruling(credentials.reason, credentials.detail)
     match request:
         case requests.Take(override=True) if not credentials.override:
-            return Ruling(Reason.NOT_GRANTED, "override is not among it")
+            return Ruling(Reason.NOT_GRANTED, "override is not granted")
         case requests.Acquire() | requests.Take():
             return msgspec.structs.replace(request, role=credentials.role)
         case requests.Engage():

@@ -114,7 +114,7 @@ BUTTONS: Final = {
     ENGAGE: "Take control",
     ACQUIRE: "Take control",
     " ('cruiser drive ROBOT')": "",
-    "say whose stop is cleared: 'cruiser reset ROBOT --of NAME', or lease.reset(of=NAME)": "press Reset",
+    "name whose stop you clear: 'cruiser reset ROBOT --of NAME'": "press Reset",
 }
 """The buttons of the page that do what a cure has a command for."""
 

@@ -71,7 +71,7 @@ def test_an_operator_drives_within_the_grant_until_it_is_revoked(site: Site) -> 
                 wait_until(lambda: False, lambda: lease.drive(WANTED_MPS))
             assert lost.value.reason is Reason.GRANT_REVOKED
         process.wait_says("stopping: the grant was revoked")
-        process.wait_says("stopped: the robot is told nothing, and stands")
+        process.wait_says("stopped: at standstill, no commands sent")
     with running(site), pytest.raises(Refused, match="it refuses the grant: the grant was revoked") as refused:
         Robot.connect(ROBOT, settings=site.settings)
     assert refused.value.reason is Reason.GRANT_REVOKED

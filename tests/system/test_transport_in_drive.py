@@ -144,9 +144,7 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
             # On a busy machine another rule, or the guard, may end the drive before the certificate ends.
             why = gateway.wait_says("stopping: .*|the guard has stopped the robot")[0]
             assert is_early or TEXTS[Reason.DEADMAN].means in why
-            gateway.wait_says(
-                "stopped: the robot is told nothing, and stands|the guard's stop has ended: .* stands"
-            )
+            gateway.wait_says("stopped: at standstill, no commands sent|the guard's stop has ended: .* stands")
         wait_until(lambda: time.time() > ends_s + 1)
         told = list(witness.speeds)
         assert_lawful(told)

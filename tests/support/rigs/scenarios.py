@@ -69,7 +69,7 @@ deadman deadman: driving; run 1; rest
 stale_commands deadman: driving; stale 80; rest
     15 drive requests | 1290 ms, at most 1000 ms | seq 134, 1290 ms old
 repeated_sequence deadman: driving; repeat 20; rest
-    15 drive requests | does not rise, or by too much; 6 after 69
+    15 drive requests | did not increase, or increased by too much; 6 after 69
 lease_expired lease_expired: driving lease_s:0.5 deadman_s:0.5; run 1; rest
     drive of operator-1, 500 ms before the stop | a lease lasts 500 ms
 lease_taken lease_taken: driving; taken operator-2; rest
@@ -107,7 +107,7 @@ full_bus send_failed: driving; takes 2; drive 0.6 0.2; takes; rest
 not_confirmed not_confirmed: ready; deaf; take; ask engage; drive 0 1.2; rest
     engage, of operator-1 | 1.00 s before the stop | Mode = stop
 found_moving found_moving: driving; links bus_up:0 bus_losses:1; run 0.1; links bus_losses:1; run 0.3; rest
-    the CAN bus is not there | said 0.60 m/s
+    there is no CAN bus | said 0.60 m/s
 shut_down shutdown: driving; shutdown; drive 0.6 0.1; rest
 rolling rolling: ready; fault slope 8; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest
     rear wheels turned at -0. | commanded was 0.50 m/s

@@ -199,9 +199,9 @@ def test_a_lost_bus_a_lost_zenoh_and_a_pause_end_nothing(caplog: pytest.LogCaptu
     assert said == [
         "a Zenoh node is connected",
         "no Zenoh node is connected any more",
+        "shutting down",
         "the bus is lost",
         "the bus is up",
-        "the gateway ends, as it was told to",
         "the loop was 110 ms late",
     ]
 

@@ -259,7 +259,7 @@ def test_with_the_same_settings_both_runs_are_the_same() -> None:
 
 
 def test_what_people_did_stays() -> None:
-    """A bumper that was hit is hit. While the hand transmitter has the robot, the recorded speed is the speed.
+    """A bumper that was hit is hit. While the remote control has the robot, the recorded speed is the speed.
 
     Once both stand with nobody in command, the two see the same.
     """

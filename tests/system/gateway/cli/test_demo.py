@@ -69,7 +69,7 @@ def test_the_demo_tells_and_records_what_the_arbiter_did(demo: Demo) -> None:
         "stopping: the front bumper was hit",
         "reset: front_bumper",
         "engaged",
-        "stopping: no acceptable drive command came in time",
+        "stopping: no valid drive command arrived in time",
         "second-operator has acquired the lease",
         "engaged",
         "stopping: the holder of the lease disengaged",

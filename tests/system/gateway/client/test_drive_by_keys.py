@@ -154,6 +154,6 @@ def test_why_it_stands_is_shown_and_r_and_g_bring_it_back() -> None:
 def test_a_robot_that_cannot_be_engaged_is_shown_with_the_reason() -> None:
     """The program stays, so that the person can see what it waits for."""
     with FakeRobot(mode=Mode.REMOTE) as fake, Driver(fake.listen) as driver:
-        driver.wait_shows("the hand transmitter has the robot")
+        driver.wait_shows("the remote control has the robot")
         assert driver.process.poll() is None
         assert not fake.accepted("engage")

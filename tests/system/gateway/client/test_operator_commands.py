@@ -259,7 +259,7 @@ def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> Non
         said = capsys.readouterr()
         assert said.out == ""
         assert said.err == (
-            "cruiser-2: NOT STOPPED: hand_transmitter: the hand transmitter has the robot; latched; not "
+            "cruiser-2: NOT STOPPED: hand_transmitter: the remote control has the robot; latched; not "
             "carried out: the robot stands. Use the button on the robot\n"
         )
         assert run(stop, fake.listen, "--all", "--json") == ExitCode.PARTIAL
@@ -285,7 +285,7 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
         capsys.readouterr()
         says(
             1,
-            "no_lease: nobody holds the lease -> acquire it with 'cruiser drive cruiser-1'",
+            "no_lease: no operator holds the lease -> acquire it with 'cruiser drive cruiser-1'",
             "remote_stop: a remote stop was received -> reset with 'cruiser reset cruiser-1'",
             "last events:",
             "latched until a reset",

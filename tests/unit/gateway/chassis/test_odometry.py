@@ -214,7 +214,7 @@ def test_reset_odometry_wants_the_lease_alone() -> None:
     assert odometry_of(rig)[-1].distance_m > 0.5
     assert operator.reason("reset_odometry") is Reason.NONE
     assert (rig.events[-1].text, rig.events[-1].operator) == (
-        "the pose of the odometry is zero here",
+        "odometry reset: the pose is zero here",
         operator.name,
     )
     rig.tick(2)

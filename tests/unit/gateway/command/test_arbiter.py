@@ -126,7 +126,7 @@ ITSELF = {
 } | {
     "a brake that does not read applied": "driving 0.5 100; see brake:released; stop; tick 30; = phase park; tick "
     "269; = events fault; tick 500; = events fault not_confirmed, event fault not_confirmed error, gear drive, "
-    "parking; text fault the parking brake does not read applied| the motor holds the robot in gear meanwhile"
+    "parking; text fault the parking brake does not read applied| the motor holds the robot in gear until it does"
 }
 
 
@@ -138,11 +138,11 @@ def test_what_the_robot_does_of_itself_stops_it_and_is_latched(row: str) -> None
 
 END = {
     "disabled": "engaged; disengage; until phase disable; mark; tick 49; = spoken; tick; = silent, standby, "
-    "event stopped disengaged info, events takeover; text stopped and stands",
+    "event stopped disengaged info, events takeover; text stopped at standstill, no commands sent",
     "not seen to stand": "engaged; see missing:Auto_DriveFeedBack speed_mps:null; tick 600; = event stopped "
-    "feedback_missing error; text stopped but the robot is not seen to stand",
-    "beside another computer": f"engaged; stop; see {OTHER}; tick 400; text stopped but another computer "
-    "commands it, and can move it",
+    "feedback_missing error; text stopped no commands sent, but the robot is not seen to stand",
+    "beside another computer": f"engaged; stop; see {OTHER}; tick 400; text stopped no commands sent, but "
+    "another computer commands the robot and can move it",
 }
 
 
@@ -313,9 +313,9 @@ FOUND = {
         f"detail {detail} the robot moves at {mps} m/s"
         for hindered, reason, detail, mps in [
             ("tick 0", "none", "", "1.00"),
-            ("see controller:bus_off", "bus_off", "latched| told, but not known to be obeyed:", "1.00"),
-            ("fails 1", "send_failed", "latched| told, but not known to be obeyed:", "1.00"),
-            (f"see {OTHER}", "other_commander", "latched| told, but not known to be obeyed:", "1.00"),
+            ("see controller:bus_off", "bus_off", "latched| commanded, but not confirmed:", "1.00"),
+            ("fails 1", "send_failed", "latched| commanded, but not confirmed:", "1.00"),
+            (f"see {OTHER}", "other_commander", "latched| commanded, but not confirmed:", "1.00"),
             ("see mode:remote all:0.8; tick", "hand_transmitter", "latched| not carried out:", "0.80"),
         ]
     },

@@ -169,7 +169,7 @@ FEEDBACK: dict[str, str] = {
     "it stands only if its feedback has answered": "ready fast; engage; reply stop none; detail the robot "
     "stands; wait 4; reply acquire none; reply reset none; engage; drive 2.2 0 0.16; freeze all; drive 2.2 0 "
     "0.5; reply stop not_confirmed; detail the speed reads 0, unchanged for; = unconfirmed; clear; wait 6; = "
-    "confirmed; text stopped and stands",
+    "confirmed; text stopped at standstill, no commands sent",
     # The bumper is hidden for four metres at most: the wheels contradict the mileage; engaging anew hides nothing.
     "a frozen body frame hides a bumper": f"driving 1; freeze {BODY}; drive 1 0 0.1; bumper front on; mark; "
     "drive 1 0 6; = latched feedback_frozen, way 4",
@@ -256,7 +256,7 @@ BUS: dict[str, str] = {
     # A stop that cannot be carried out says so; the other obstacles are rows of test_arbiter.
     "a stop of a robot of which nothing is heard": "driving 1; corrupt all lost; wait 0.6; "
     "reply stop feedback_missing; = latched remote_stop; "
-    "detail latched| told, but not known to be obeyed: the robot is not seen to stand",
+    "detail latched| commanded, but not confirmed: the robot is not seen to stand",
     # At zero speed the parking brake comes second in a burst; the enables stay.
     **{
         f"takes {taken} of each burst of a stop": f"driving 1; ask stop; takes {taken}; wait 3; = rests, "
@@ -437,7 +437,7 @@ LOOP: dict[str, str] = {
     "a late stop at the very start of motion": "ready; engage; drive 1 0 0.3; driven 1 unbelow 0.01; lag 150; "
     "tick 1; lag 0; = gear drive, for loop_late",
     "the guard's words are in the events and in the latch": "driving 1; links guard_sends:1 guard_stops:1 "
-    f"guard_says:a_cause; drive 1; text guard nothing is sent any more: {TEXTS[Reason.GUARD].means}| a cause; "
+    f"guard_says:a_cause; drive 1; text guard commanding ended: {TEXTS[Reason.GUARD].means}| a cause; "
     "text latch a cause; links guard_stops:1 guard_says:a_cause,_the_robot_stands; tick 1; text guard the "
     "guard's stop has ended: a cause, the robot stands",
     "a stop of the guard's before the start": "new; note yesterday; wait 0.6; text latch | yesterday; reply "

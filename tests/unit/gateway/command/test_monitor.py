@@ -263,13 +263,13 @@ FORWARD, BACKWARD, FAR = told(0.5), told(-0.5), "total_mileage_km:1.5"
     ("reason", "after_ms", "chassis", "actuation", "words"),
     [
         # Wheels against command and drive feedback; which scale would fit. Missing feedback is its own cause.
-        (SPEED, 300, seen(1.0, 1.0), FORWARD, "the wheels turn forward at 1.00 m/s, commanded is 0.50 m/s"),
-        (SPEED, 300, seen(-1.0, 1.0), BACKWARD, "the wheels turn backward at 1.00 m/s, commanded is 0.50 m/s"),
-        (SPEED, 300, seen(-0.5, 0.5), FORWARD, "the wheels turn backward at 0.50 m/s, commanded is 0.00 m/s"),
-        (SPEED, 300, seen(0.5, 0.5), BACKWARD, "the wheels turn forward at 0.50 m/s, commanded is 0.00 m/s"),
-        (SPEED, 300, seen(0.0, 1.0), told(1.0), "says 1.00 m/s; the fine scale of the drive frames would fit"),
-        (SPEED, 300, seen(1.0, 0.5), told(1.0), "the wheels turn at 1.00 m/s, the drive feedback says 0.50 m/s"),
-        (SPEED, 300, seen(-1.0, 0.5), told(-1.0), "the wheels turn at 1.00 m/s, the drive feedback says 0.50 m/s"),
+        (SPEED, 300, seen(1.0, 1.0), FORWARD, "the wheels turn forward at 1.00 m/s, commanded 0.50 m/s"),
+        (SPEED, 300, seen(-1.0, 1.0), BACKWARD, "the wheels turn backward at 1.00 m/s, commanded 0.50 m/s"),
+        (SPEED, 300, seen(-0.5, 0.5), FORWARD, "the wheels turn backward at 0.50 m/s, commanded 0.00 m/s"),
+        (SPEED, 300, seen(0.5, 0.5), BACKWARD, "the wheels turn forward at 0.50 m/s, commanded 0.00 m/s"),
+        (SPEED, 300, seen(0.0, 1.0), told(1.0), "reads 1.00 m/s; the fine scale of the drive frames would fit"),
+        (SPEED, 300, seen(1.0, 0.5), told(1.0), "the wheels turn at 1.00 m/s, drive feedback reads 0.50 m/s"),
+        (SPEED, 300, seen(-1.0, 0.5), told(-1.0), "the wheels turn at 1.00 m/s, drive feedback reads 0.50 m/s"),
         (SPEED, 300, seen(2.0, 2.0), told(0.05), "; the coarse scale of the drive frames would fit"),
         (SPEED, None, seen(None, 2.0), told(2.0), ""),
         (SPEED, None, seen(2.0, words="speed_mps:null"), told(2.0), ""),
@@ -351,7 +351,7 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found(
     watched = Watched(1.0)
     after_ms = [watched.found_after_ms(FROZEN, chassis, actuation) for _ in range(1 if is_found else 8)]
     assert after_ms == ([pytest.approx(3_000, abs=20)] if is_found else [None] * 8)
-    assert watched.made.details.get(FROZEN, "") == ("the mileage, for 3.0 m" if is_found else "")
+    assert watched.made.details.get(FROZEN, "") == ("mileage unchanged over 3.0 m" if is_found else "")
 
 
 def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:

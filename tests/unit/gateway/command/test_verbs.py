@@ -206,7 +206,7 @@ def test_engage_wants_all_of_the_table(row: str) -> None:
 
 # Reset.
 
-UNSEEN = "detail it was made before this was to be seen"
+UNSEEN = "detail the reset was sent before this could be seen"
 HIT_TWICE = "ready; acquire; see front_bumper:true; tick 60; see; tick 30; see front_bumper:true; tick; reset"
 STOPPERS = [
     ("first", "", ""),

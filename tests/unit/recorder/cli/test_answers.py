@@ -152,12 +152,12 @@ $ cut one -o one.mcap
 == events are a table with times, severity, kind, cause, operator and a sentence [stale.mcap]
 $ events stale.mcap
     operator what 2023-11-14 | 3.318 22:13:23.330 cruiser-1 warning stop deadman
-    (operator-1) stopping: no acceptable drive command came in time; none for 310 ms; 15 commands refused as too
+    (operator-1) stopping: no valid drive command arrived in time; none for 310 ms; 15 commands refused as too
         old, 1290 ms
     [30 times within 0.6 s]
 == time and kind bound what events tell [stale.mcap]
 $ events stale.mcap --json --kind stop --kind refusal --from 3.1 --to 3.35
-    {"kind": "refusal"} | {"kind": "stop", "cause": "no acceptable drive command came in time"} | #2
+    {"kind": "refusal"} | {"kind": "stop", "cause": "no valid drive command arrived in time"} | #2
 == events of a log without a robot are refused, and of no such kind there are none
 logs foreign.mcap gears.mcap bare.mcap
 1$ events foreign.mcap => nothing of a robot | #0

@@ -53,7 +53,7 @@ last
     action: from 0.60 m/s to zero at 1.2 m/s2 in 490 ms
     action: zero speed after 490 ms, parking brake after ...0 ms, hold after 7...0 ms, enables off after 1.7
     action: at 0.60 m/s, was slower than 0.05 m/s after 6...0 ms and 0.2
-    action: stopped: the robot is told nothing, and stands
+    action: stopped: at standstill, no commands sent
 == a speed in doubt gives no distance
 given wrong_scale
 last
@@ -75,13 +75,13 @@ given driving; says disengage; rest; operator operator-1; engage; drive 0.6 1.0;
 disengaged
 50
     evidence: the request was disengage, of operator-1 | no evidence: came after it
-    action: stopped: the robot is told nothing, and stands, after 2.25 s | no action: moved again
+    action: stopped: at standstill, no commands sent, after 2.25 s | no action: moved again
 == a stop that the remote control cuts short keeps its cause
 given driving; says disengage; run 0.2; fault transmitter remote for 9s; until standby; run 1; from \
 hand_transmitter
 -20
     headline: It was being stopped: the holder of the lease disengaged.
-    no action: stopped: the robot is told nothing
+    no action: stopped: no commands sent
 == a stop that was followed by an engagement is no answer
 given driving; run 1; rest; operator operator-2; engage; drive 0.6 1.5; without safety/state
 -3000
@@ -102,23 +102,23 @@ given driving; drive 0.6 2.0
 given driving; fault transmitter remote for 3s; drive 0.6 0.6; fault sticks 0.4 5; until stopping; rest; from \
 hand_transmitter
 -100
-    headline: 100 ms later it was let go: the hand transmitter has the robot
+    headline: 100 ms later it was let go: the remote control has the robot
     evidence: said Mode = remote, at the takeover
 20
     reason: hand_transmitter | action: the gateway sends nothing
-    no action: stopped: the robot is told nothing
+    no action: stopped: no commands sent
 == the stop that comes later is none of the takeover's
 given driving; fault transmitter remote for 3s; drive 0.6 0.6; fault sticks 0.4 5; until stopping; rest; from \
 found_moving
 -100
     reason: hand_transmitter | state: standby | headline: It was not engaged. The last stop was
-    cause: it could not be engaged: the robot moves | no action: stopped: the robot is told nothing
+    cause: it could not be engaged: the robot moves | no action: stopped: no commands sent
 -5
     headline: It was not engaged; 5.0 ms later a stop began: found moving at 0.3
-    cause: it could not be engaged: the hand transmitter has the robot | evidence: said Mode = remote
+    cause: it could not be engaged: the remote control has the robot | evidence: said Mode = remote
     no missing
 100
-    reason: found_moving | no command: acceptable drive command
+    reason: found_moving | no command: valid drive command
 == a latch of long ago is traced to its frame
 given driving; fault bumper front on for 700ms; drive 0.6 0.2; rest; run 14; take; says engage front_bumper
 0
@@ -186,7 +186,7 @@ last
     headline: The gateway fell silent 1.0...engaged, at 0.60 m/s; another run began 2.0
 3500
     state: standby | reason: none | stop_ms: none | silent_ms: 0
-    headline: It was not engaged: nobody holds the lease...The gateway fell silent 3.5
+    headline: It was not engaged: no operator holds the lease...The gateway fell silent 3.5
 == a death is dated by the last state, whatever the next gateway says first
 given ready; run 0.9; engage; drive 0.6 4; mark; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4
 given ready; engage; drive 0.6 1; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4; mark; another 0.3; run \

@@ -112,7 +112,7 @@ def test_a_long_drive_keeps_a_bounded_number_of_places_near_the_path() -> None:
 
 
 BUMPER = "the front bumper was hit"
-REMOTE = "the hand transmitter has the robot"
+REMOTE = "the remote control has the robot"
 
 
 @pytest.fixture(scope="module")
