@@ -1,8 +1,6 @@
 """A fleet's health as metrics for Prometheus: their table, and the samples behind them.
 
-The newest of each robot and recorder as metrics. Of a silent one nothing is shown but that it is silent.
-
-The metrics of messages: names, fields, help.
+Of a silent robot or recorder only its silence is shown. A row of the table, such as
 
     ("cpu_ratio", "cpu_percent", "Processor time over the last second; 1 is one core.", 100)
 
@@ -53,11 +51,11 @@ class Measure(msgspec.Struct, frozen=True):
 
     @property
     def is_counter(self) -> bool:
-        """True if it only rises, until its sender starts again."""
+        """True if it only rises until its sender restarts."""
         return self.name.endswith(COUNTER)
 
     def values(self, message: object) -> Iterable[tuple[str, float]]:
-        """Values in a message, each with that of its label; empty where it has none."""
+        """Return the values in a message, each with that of its label."""
         value: Any = getattr(message, self.field)
         match value:
             case None:
@@ -79,7 +77,7 @@ def label_text(text: str) -> str:
 
 
 def bounded(counts: Mapping[str, int]) -> Iterator[tuple[str, float]]:
-    """Counts by a label that somebody else made up: a bounded number, the rest together."""
+    """Yield counts by a foreign label: a bounded number, the rest as ``other``."""
     kept: dict[str, int] = {}
     for name, count in counts.items():
         label = label_text(name)
@@ -222,31 +220,34 @@ MEASURES: Final[dict[type[msgspec.Struct], list[Measure]]] = {
         ("cpu_ratio", "cpu_percent", "Processor time of the process over the last second; 1 is one core.", 100),
     ),
 }
-"""The messages that become metrics, and the records within them."""
+"""Messages that become metrics, and the records within them."""
 
 INFO: Final[dict[type[msgspec.Struct], tuple[str, str, dict[str, str]]]] = {
     GatewayHealth: ("cruiser_gateway", "The gateway.", {"version": "gateway_version", "bus": "bus"}),
     RecorderHealth: ("cruiser_recorder", "The recorder.", {"version": "recorder_version"}),
 }
-"""Of the metrics ``..._info`` the beginning of the name, the help, and the labels, each with its field."""
+"""Metrics ``..._info``: name without that ending, help, and labels with their fields."""
 
 
 BOUNDS: Final = Bounds(robots=1000, recorders=100, name_length=64, forgotten_ns=7 * 86_400 * 1_000_000_000)
-"""The robots and recorders that have metrics; a silent one for a week."""
+"""Limits of robots and recorders with metrics; silent ones stay for a week."""
 
-GAP_MAX: Final = 100_000  # a step of the sequence by more is a sender that began anew, not a loss
+GAP_MAX: Final = 100_000  # a larger step is a restarted sender, not a loss
 DAMAGED: Final = "damaged"
-UNREADABLE: Final = ("newer", "older", DAMAGED)
-"""Why a sample cannot be read: its schema is of a newer or an older version than here, or it is damaged."""
+UNREADABLE: Final = (
+    "newer",
+    "older",
+    DAMAGED,
+)  # reasons: schema of a newer or an older version than here, or damaged
 
 
 class _Counts:
-    """Samples of a robot or a recorder, counted.
+    """Counted samples of a robot or a recorder.
 
     Attributes:
-        health_wall_s: when its health came last, seconds since 1970; 0 before the first.
-        received, lost: samples by subject; those that are lost by the gaps in their sequence.
-        unreadable: samples by subject, and why they cannot be read.
+        health_wall_s: time of its last health, seconds since 1970; 0 before the first.
+        received, lost: samples by subject; lost ones by gaps in the sequence.
+        unreadable: samples by subject and reason.
     """
 
     def __init__(self) -> None:
@@ -257,7 +258,7 @@ class _Counts:
         self._next: dict[str, int] = {}
 
     def receive(self, subject: str, message: Message) -> None:
-        """Count a message, and those that are missing before it."""
+        """Count a message, and those missing before it."""
         self.received[subject] += 1
         gap = (message.sequence - self._next.get(subject, message.sequence)) & SEQUENCE_MAX
         self.lost[subject] += gap if gap <= GAP_MAX else 0
@@ -268,8 +269,8 @@ class _Group(msgspec.Struct):
     """All robots, or all recorders.
 
     Attributes:
-        prefix: of the metrics that say whether they are there.
-        kinds: the classes of their messages; the first is the health, without which they count as silent.
+        prefix: of the metrics on their presence.
+        kinds: classes of their messages; the first is the health, without which they count as silent.
     """
 
     prefix: str
@@ -279,7 +280,7 @@ class _Group(msgspec.Struct):
     counts: defaultdict[str, _Counts] = msgspec.field(default_factory=lambda: defaultdict(_Counts))
 
     def update(self, now_ns: int) -> None:
-        """Forget those that have been silent for too long, with their counts."""
+        """Forget sources that were silent for too long, with their counts."""
         names = self.sources.names(now_ns, lambda _name: True)
         self.counts = defaultdict(_Counts, {name: self.counts[name] for name in names})
 
@@ -288,10 +289,10 @@ class _Group(msgspec.Struct):
 
 
 class FleetMetrics:
-    """The samples of a fleet as metric families.
+    """A fleet's samples as metric families.
 
     Attributes:
-        certificate_ends_s: when its own certificate ends, seconds since 1970; None if it has none.
+        certificate_ends_s: end of the exporter's certificate, seconds since 1970; None without one.
     """
 
     def __init__(self, root: str, version: str, certificate_ends_s: int | None = None) -> None:
@@ -305,11 +306,10 @@ class FleetMetrics:
         self._overruns = 0
 
     def receive(self, heard: Arrival, since_ns: int, wall_s: float) -> None:
-        """Take in a sample or a change of a token. What is nobody's is ignored; what cannot be read is counted.
+        """Process a sample or a token's change.
 
         Args:
-            since_ns: when was looked for arrivals before this time, monotonic: what waited while this process was
-                held up may be as old as that.
+            since_ns: the previous poll, monotonic: an arrival may be as old as that.
             wall_s: now, seconds since 1970.
         """
         sample = self._fleet.receive(heard, since_ns)
@@ -377,7 +377,7 @@ class FleetMetrics:
 
 
 def _presence(group: _Group, now_ns: int) -> Iterator[Metric]:
-    """Who is there, and what came of them; of those that are silent too."""
+    """Yield presence and sample counts of all sources, silent ones too."""
     prefix, label = group.prefix, [group.label]
     up = GaugeMetricFamily(f"{prefix}_up", "1 while its health comes; 0 once it has fallen silent.", labels=label)
     last = GaugeMetricFamily(
@@ -421,7 +421,7 @@ def _info(
 
 
 def _frames(messages: Iterable[tuple[str, Message]]) -> Iterator[Metric]:
-    """The supervision of each robot's feedback frames."""
+    """Yield the supervision of each robot's feedback frames."""
     rows = [
         (robot, frame, row)
         for robot, health in messages
@@ -433,7 +433,7 @@ def _frames(messages: Iterable[tuple[str, Message]]) -> Iterator[Metric]:
 
 
 def _family(measure: Measure, labels: list[str], rows: Iterable[tuple[object, ...]]) -> Metric:
-    """One measure of many: rows of the values of the labels, and last what is measured."""
+    """Make a measure from rows that end with the measured record, after its label values."""
     make = CounterMetricFamily if measure.is_counter else GaugeMetricFamily
     name = measure.name.removesuffix(COUNTER)
     family = make(name, measure.about, labels=[*labels, measure.label] if measure.label else labels)

@@ -1,4 +1,1 @@
-"""The command ``cruiser``.
-
-What a person can put right ends a command as a ``CommandError``: one line and an exit code, which ``main`` prints.
-"""
+"""The command ``cruiser``. A command ends with a ``CommandError`` where the user can put something right."""

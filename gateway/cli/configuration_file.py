@@ -1,4 +1,4 @@
-"""Reads the configuration file and merges it with the environment and the flags."""
+"""The settings file of a command, merged with the environment and the flags."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from schemas.settings import Settings
 ZENOH_ENDING: Final = ".json5"
 
 SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")  # the settings of a robot's services
-OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
-"""Commands that read these where no file is named: by hand, too, they are about the robot that it is."""
+OF_THE_ROBOT: Final = frozenset(
+    {"doctor", "gateway", "record"}
+)  # commands that read SYSTEM_FILE where no file is named
 
 _LOOKING: Final = ("list", "watch", "view", "why")
 _DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")
@@ -28,18 +29,13 @@ OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
     "metrics": ("viewer.toml",),
     **dict.fromkeys((*_LOOKING, *_DRIVING), ("operator.toml", "viewer.toml")),
 }
-"""Settings files that ``cruiser provision install`` writes for the user of a command."""
+"""Settings files that ``cruiser provision install`` writes, by the commands of their users."""
 
 
 def settings_file(
     command: str, path: str | None, environ: Mapping[str, str], action: str | None = None
 ) -> str | None:
-    """Return the settings file of a command; None for none.
-
-    Args:
-        path: the value of ``--config``.
-        action: of ``record``, by which somebody asks a recorder.
-    """
+    """Return the settings file of a command; None for none. With an action, ``record`` asks another recorder."""
     if path is not None:
         return path
     if CONFIG_VARIABLE in environ:
@@ -49,36 +45,31 @@ def settings_file(
 
 
 def load_settings(path: str | None, environ: Mapping[str, str], flags: Mapping[str, object]) -> Settings:
-    """The settings in force.
-
-    Args:
-        path: the TOML file; if None, the one that the environment names; if it names none, no file.
-        flags: values by dotted key, such as ``can.channel``.
-    """
+    """Merge a TOML file (``path``, else the one in the environment), the environment and flags by dotted key."""
     if path == "":
-        # As with --config "$FILE" where FILE is not set: a robot must not start with settings that nobody meant.
+        # --config "$FILE" with FILE unset: a robot must not start with default settings by mistake.
         raise CommandError("--config is empty: it must name a file", ExitCode.USAGE)
     file = path if path is not None else environ.get(CONFIG_VARIABLE) or None
     settings = merge(None if file is None else _read(file), environ, flags)
     if settings.zenoh.config:
-        from gateway.provisioning.key_files import check_kinds  # noqa: PLC0415 - not for who has no such file
+        from gateway.provisioning.key_files import check_kinds  # noqa: PLC0415 - only for a Zenoh file
 
         check_kinds(Path(settings.zenoh.config))
     return settings
 
 
 def unread_file(command: str, path: str | None, environ: Mapping[str, str], settings: Settings) -> str:
-    """Return the settings file that somebody probably forgot to name, where a command runs in open mode.
+    """Return the settings file that the user probably forgot to name, if a command runs in open mode.
 
-    It is looked for in the working directory and in that of the keys. Empty if there is none, and where the lack
-    of a file (``CRUISER_CONFIG=``), the mode, or for all but a gateway the place to connect to is stated.
+    Looks in the working directory and beside the keys. Empty if there is none, or if the user chose: no file
+    (``CRUISER_CONFIG=``), the mode, or, for all but a gateway, the endpoint to connect to.
     """
     stated = {CONFIG_VARIABLE, SETTINGS["authority.mode"].variable} & environ.keys()
     is_placed = command != "gateway" and not settings.zenoh.given.isdisjoint({"connect", "config"})
     if path is not None or stated or is_placed or settings.authority.mode != "open":
         return ""
     places = [Path()]
-    with suppress(RuntimeError):  # Nobody knows a home directory of this user.
+    with suppress(RuntimeError):  # This user has no home directory.
         places.append(Path(directory_of(settings.authority, environ, Path.home())))
     files = [place / name for place in places for name in OWN_FILES.get(command, ())]
     return next((str(file) for file in files if os.path.isfile(file)), "")  # noqa: PTH113 - it never raises

@@ -59,7 +59,7 @@ _CLASSIC: Final = re.compile(
 
 
 class CandumpLine(msgspec.Struct, frozen=True):
-    """A line; its identifier in upper case, its time or None."""
+    """A parsed line: identifier in upper case, time or None."""
 
     frame: Frame
     bus: str
@@ -68,7 +68,7 @@ class CandumpLine(msgspec.Struct, frozen=True):
 
 
 def parse(line: str) -> CandumpLine | None:
-    """The frame of a line, or None if candump would not write such a line."""
+    """Return the frame of a line, or None if candump does not write such a line."""
     match = _LOG.fullmatch(line)
     if match is not None:
         frame = _log_frame(match)
@@ -88,7 +88,7 @@ def parse(line: str) -> CandumpLine | None:
 
 
 def _can_id(text: str) -> int | None:
-    """The identifier with its flags: three digits are standard, eight extended, or an error frame."""
+    """Return the identifier with its flags: three digits are standard, eight extended, or an error frame."""
     value = int(text, 16)
     if len(text) == 3:
         return value if value <= STANDARD_MASK else None
@@ -136,9 +136,7 @@ EXAMPLE = """\
 
 NOT_CANDUMP: Final = "not_candump"
 
-MAX_LINE_BYTES: Final = 1024
-"""The longest line that is looked at; candump's own, a CAN FD frame with its text, has under 400."""
-
+MAX_LINE_BYTES: Final = 1024  # longer lines are not parsed; candump's own have under 400 bytes
 POLL_S: Final = 0.2  # the wait for more input ends so soon after a signal
 _STANDARD_INPUT: Final = 0
 _READ_BYTES: Final = 65_536
@@ -158,7 +156,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Decode until the input ends. Exit code 3 if a line was not candump's."""
+    """Decode until the input ends. Exit code 3 if a line was not from candump."""
     decoder = FrameDecoder(CHASSIS.layout(_variant(settings)))
     all_read = True
     source = _open(arguments.file)
@@ -177,7 +175,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def describe(decoder: FrameDecoder, raw: bytes, number: int) -> dict[str, Any] | None:
-    """Return the contents of a line, ready for JSON; None for an empty line. Any bytes will do."""
+    """Return the contents of a line, ready for JSON; None for an empty line. Accepts any bytes."""
     if not raw.strip():
         return None
     text = raw.decode("latin-1")
@@ -219,7 +217,7 @@ def _open(file: str) -> int:
 
 
 def _lines(source: int, name: str, stopped: Callable[[], bool]) -> Iterator[bytes]:
-    """The lines of a file descriptor, each cut off where it is longer than any that would be looked at."""
+    """Yield the lines of a file descriptor, each cut off just above the longest that is parsed."""
     rest = b""
     while not stopped():
         try:

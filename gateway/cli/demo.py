@@ -1,7 +1,4 @@
-"""``cruiser demo``: chassis, gateway, recorder and two operators together, then their log.
-
-With ``--desk``: virtual robots, a recorder and the desk in one command, and the browser on it.
-"""
+"""``cruiser demo``: a robot, a recorder and two operators; with ``--desk`` several robots and the desk."""
 
 from __future__ import annotations
 
@@ -50,12 +47,9 @@ CRUISER: Final = module_command("gateway")  # the command that runs the ``cruise
 
 
 class Child:
-    """One of our own commands in a process of its own. It says that it is ready with its first line on stderr.
+    """A ``cruiser`` command in its own process. Its first line on stderr says that it is ready.
 
-    It ends when this process is gone, also by SIGKILL.
-
-    Args:
-        environment: all of its environment. Where it names no settings file, none is meant.
+    Ends with this process, even on SIGKILL. ``environment`` is all of it; it need not name a settings file.
     """
 
     def __init__(self, name: str, words: Sequence[str], environment: Mapping[str, str] = os.environ) -> None:
@@ -113,7 +107,6 @@ class Child:
         return self._process.poll() is not None
 
     def check(self) -> None:
-        """Raise a CommandError if it has ended."""
         code = self._process.poll()
         if code is None:
             return
@@ -123,7 +116,7 @@ class Child:
         raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
 
     def end(self) -> str:
-        """Ask it to stop. Returns its stdout."""
+        """Send SIGTERM, wait, and return its stdout."""
         self.check()
         self._process.terminate()
         try:
@@ -138,7 +131,7 @@ class Child:
         return out
 
     def _listen(self) -> None:
-        """Take what it says on stderr; its first line, or its end, is what others wait for."""
+        """Collect its stderr; the first line, or the end, wakes ``wait_ready``."""
         for line in self._process.stderr or ():
             self._said.append(line.rstrip("\n"))
             self._spoke.set()
@@ -146,7 +139,7 @@ class Child:
 
 
 def address_of(chassis: Child) -> str:
-    """Return HOST:PORT of a virtual chassis that was started on a free port."""
+    """Return HOST:PORT of a virtual chassis on a free port."""
     ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
     if ready is None:
         raise CommandError("the virtual chassis did not report its address")
@@ -154,7 +147,7 @@ def address_of(chassis: Child) -> str:
 
 
 def fresh(directory: Path) -> Path:
-    """The first of DIR, DIR-2, DIR-3 and so on that holds nothing yet."""
+    """Return the first of DIR, DIR-2, DIR-3 and so on that is empty or missing."""
     numbered = (directory.with_name(f"{directory.name}-{number}") for number in count(2))
     try:
         return next(path for path in chain([directory], numbered) if not path.exists() or not any(path.iterdir()))
@@ -166,8 +159,7 @@ HOST: Final = "127.0.0.1"
 DESK_PORT: Final = 8080
 
 ROBOTS: Final = min(12, 3 * (os.cpu_count() or 1))
-"""A chassis, its gateway and its guard take an eighth of a processor at rest, and more while it is driven. The
-desk, the recorder and the browser need the rest."""
+"""A robot takes an eighth of a processor at rest, and more while driven; desk and browser need the rest."""
 
 ROBOTS_MOST: Final = 64
 
@@ -244,7 +236,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
 
 
 class VirtualRobot:
-    """A chassis and its gateway, with its guard. Another gateway takes the place of one that died."""
+    """A virtual chassis and its gateway, which is replaced if it dies."""
 
     def __init__(
         self, name: str, configuration: Sequence[str], endpoint: str, state: Path, stack: ExitStack
@@ -272,7 +264,7 @@ class VirtualRobot:
         self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
 
     def tend(self, tell: Callable[[str], None]) -> None:
-        """Start another gateway where one has died, and tell of it, and of the guard's work."""
+        """Restart a gateway that died, and print what its guard did."""
         self.chassis.check()
         if self.gateway.is_over:
             if self._begun > BEGUN_MAX:
@@ -292,7 +284,7 @@ def _tell(line: str) -> None:
 
 
 def _port(wanted: int) -> int:
-    """This port of 127.0.0.1, or a free one where it is taken."""
+    """Return this port of 127.0.0.1, or a free one if it is taken."""
     for port in (wanted, 0):
         try:
             with socket.create_server((HOST, port)) as probe:
@@ -309,7 +301,7 @@ def _whole(text: str, high: int) -> int:
 
 
 def _open_browser(page: str) -> None:
-    """Open the page where there is a screen, or a browser was chosen: one in the terminal would hide the demo."""
+    """Open the page if there is a screen or $BROWSER; a browser in the terminal would hide the demo."""
     if sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")):
         webbrowser.open(page)
 
@@ -343,11 +335,11 @@ FIXED_S: Final = 19.0  # the time of all but the figure of eight
 FIRST, SECOND, OBSERVER = "first-operator", "second-operator", "demo"
 SPEED_MPS, ANGLE_DEG = 1.0, 20.0
 
-DEADMAN_S: Final = 0.8  # a busy machine may hold up the operators for so long, and no longer
+DEADMAN_S: Final = 0.8  # a busy machine may delay the operators this long
 RENEWED_S: Final = 0.05
 READY_TIMEOUT_S: Final = 10.0
 REST_TIMEOUT_S: Final = 10.0
-TRY_AGAIN_S: Final = 60.0  # for so long an act is begun again where a busy machine comes between
+TRY_AGAIN_S: Final = 60.0  # time in which an interrupted act is repeated
 SETTLED_TICKS: Final = 50
 
 
@@ -390,7 +382,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _record(
     config: str | None, settings: Settings, stopped: Callable[[], bool], directory: Path, length_s: float
 ) -> Path:
-    """Run chassis, gateway, recorder and operators, with the demo's own configuration; return the log."""
+    """Run chassis, gateway, recorder and operators; return the log."""
     endpoint = f"tcp/{HOST}:{_port(0)}"
     configuration = [] if config is None else ["--config", config]
     with ExitStack() as stack:
@@ -419,10 +411,9 @@ def _record(
 
 
 class Play:
-    """Two operators drive a robot through the arbiter's work; whatever happens is printed, with its time.
+    """Two operators who drive a robot through the arbiter's cases; prints what happens.
 
-    Args:
-        words: of a command that reaches the robot; the last is its endpoint.
+    ``words`` are the arguments with which a command reaches the robot; the last is its endpoint.
     """
 
     def __init__(
@@ -482,7 +473,7 @@ class Play:
         cause(self._bus, "bumper front off")
 
     def _vanish(self) -> None:
-        """A drive whose computer dies."""
+        """Kill ``cruiser drive`` while it drives."""
         robot = self._settings.robot.name
         self._tell(FIRST, "drives with 'cruiser drive'")
         words = [robot, *self._words, "--operator", FIRST, "--speed", "-0.5", "--seconds", "60"]
@@ -502,7 +493,7 @@ class Play:
         self._drive(lease, 0.5, 0.0, 1.5)
 
     def _act(self, operator: str, act: Callable[[Lease], None]) -> None:
-        """Let an operator drive; once more where a busy machine comes between."""
+        """Let an operator drive; again if a busy machine interrupts."""
         end_s = time.monotonic() + TRY_AGAIN_S
         while True:
             try:
@@ -515,7 +506,7 @@ class Play:
                     lease.engage(deadman_s=DEADMAN_S)
                     lease.unpark()
                     act(lease)
-                    # One that was stopped has nothing to end.
+                    # After a stop there is nothing to end.
                     if lease.is_engaged:
                         lease.disengage()
             except (RobotError, Unreachable) as error:
@@ -529,7 +520,7 @@ class Play:
         self._go_on(seconds, partial(lease.drive, speed_mps, angle_deg=angle_deg))
 
     def _go_on(self, seconds: float, renew: Callable[[], None] = lambda: None) -> None:
-        """Let time pass, and print what happens."""
+        """Wait, and print what happens."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             if self._stopped():
@@ -558,7 +549,7 @@ class Play:
 
 
 def _waits(state: SafetyState) -> bool:
-    """A guard watches, the robot was seen to stand, and nothing else bars an operator; or something is latched."""
+    """Return True if an operator can engage the robot, or something is latched."""
     is_free = not state.lease_holder and state.state is ArbiterState.STANDBY
     return is_free and (bool(state.latched) or (state.guarded and is_idle(state.blocked_by)))
 

@@ -1,4 +1,4 @@
-"""``cruiser desk``: a fleet in a browser."""
+"""``cruiser desk``: a fleet in the browser."""
 
 from __future__ import annotations
 
@@ -29,11 +29,9 @@ EXAMPLE: Final = """\
   cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --certificate-key desk.key --host desk.example"""
 
 
-PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})
-"""Packages that a server needs, by the names under which they are imported. The extra 'desk' brings them."""
+PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})  # import names of what the extra 'desk' brings
 
 LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
-"""Names under which browsers of this machine reach it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -132,7 +130,6 @@ def _address(listen: str) -> tuple[str, int]:
 
 
 def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
-    """The files of the certificate and its key; None where browsers come from this machine alone."""
     try:
         return usable_certificate(settings.certificate, settings.key, host)
     except CommandError as error:
@@ -149,7 +146,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
 
 def usable_certificate(chain: Path | str | None, key: Path | str | None, host: str) -> tuple[Path, Path] | None:
-    """Return the files of the certificate and its key; None where browsers come from this machine alone."""
+    """Return the files of certificate and key; None if only this machine's browsers connect."""
     files = certificate_files(chain, key, host, "browsers")
     if files is None:
         return None

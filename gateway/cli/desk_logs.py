@@ -1,6 +1,6 @@
-"""The logs of a directory at the desk: found and explained by ``cruiser review``, and opened in a viewer.
+"""Logs at the desk: searched and explained by ``cruiser review``, and opened in a viewer.
 
-Each question to logs is a bounded process of its own: a log may be made to take all that there is.
+Each question runs in its own bounded process, because a crafted log could use up the machine.
 """
 
 from __future__ import annotations
@@ -28,15 +28,11 @@ from schemas.command_line import CommandError, ExitCode, module_command, other_k
 from schemas.reasons import Reason
 
 JOB_S: Final = 120.0  # the longest time that an answer may take; who needs more asks ``cruiser review`` itself
-JOB_BYTES: Final = 2 << 30
-"""The memory that an answer may take: a log can be made to unpack to much more than it is."""
-
+JOB_BYTES: Final = 2 << 30  # memory limit of a question: a log can unpack to much more than its size
 WAITING_MAX: Final = 16  # questions that wait for their turn; any more are refused at once
 SAID_BYTES: Final = 4 << 20  # the longest answer that is read
-NICENESS: Final = 10
-"""A tenth of the processor where others want it: a robot that is driven through the same server comes first."""
-
-END_S: Final = 5.0  # time to end in, once it is told to
+NICENESS: Final = 10  # a robot that is driven through the same server comes first
+END_S: Final = 5.0  # time to end after SIGTERM
 
 
 class JobDone(msgspec.Struct, frozen=True):
@@ -48,11 +44,11 @@ class JobDone(msgspec.Struct, frozen=True):
 
 
 class JobsBusyError(Exception):
-    """Too many questions wait already."""
+    """Too many questions are waiting."""
 
 
 class Jobs:
-    """Runs a few questions at a time; the others wait, in a line that is not endless."""
+    """Runs a few questions at a time; a bounded number of others wait."""
 
     def __init__(self, at_a_time: int = 1) -> None:
         self._turns = asyncio.Semaphore(at_a_time)
@@ -72,13 +68,7 @@ class Jobs:
 
 
 async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
-    """Ask ``cruiser review``, and wait for the answer.
-
-    Args:
-        words: the question and its arguments.
-        seconds: the time, and the processor's time, that it may take. It is then told to end, and to keep
-            what it has.
-    """
+    """Run ``cruiser review`` with these arguments. It ends after ``seconds``, also of processor time."""
     try:
         process = await asyncio.create_subprocess_exec(
             *module_command("gateway", "review", *words),
@@ -121,7 +111,7 @@ async def ask_review(words: Sequence[str], seconds: float = JOB_S) -> JobDone:
 
 
 async def _read(stream: asyncio.StreamReader | None, most: int) -> bytes:
-    """Read to the end; what is beyond ``most`` is left out."""
+    """Read to the end, and return the first ``most`` bytes."""
     kept = bytearray()
     while stream is not None and (piece := await stream.read(65_536)):
         kept += piece[: most - len(kept)]
@@ -132,36 +122,41 @@ PART: Final = ".part"  # so the name of a log ends that is being written
 REPORTS_KEPT: Final = 20
 
 SANDBOX: Final = {
-    # A report holds what was in a log. It is a page of nobody's, and reaches neither this server nor a browser's
-    # keys.
+    # A report contains foreign text: it gets an opaque origin, without access to this server or a browser's keys.
     "Content-Security-Policy": "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; "
     "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 }
 
 UNREADABLE: Final = "the desk's user may not read {}: add it to the recorder's group"
 
-QUESTIONS_AT_ONCE: Final = 2
-"""Processes that read logs beside the desk; of them one at a time brings the catalog up to date."""
-
-FIND_S: Final = 600.0
-"""The longest wait for a search, which reads the logs that are new. What was read by then is kept."""
-
+QUESTIONS_AT_ONCE: Final = 2  # processes that read logs at a time; at most one of them updates the catalog
+FIND_S: Final = 600.0  # longest wait for a search, which first reads new logs; what was read until then is stored
 ANSWERS: Final = 100  # answers to a search, the newest
 LISTED: Final = 20  # logs that are named without a catalog
 TEXT_MAX: Final = 300  # the longest word of a search, and the longest line that says what is wrong with it
 Answer = Callable[[Request], Awaitable[Response]]
 
-FLAGS: Final = ("robot", "reason", "operator", "since", "until")
-"""Those of ``cruiser review find`` that the page has."""
+FLAGS: Final = (
+    "robot",
+    "reason",
+    "operator",
+    "since",
+    "until",
+)  # flags of ``cruiser review find`` that the page offers
 
 REASONS: Final = sorted(reason.value for reason in Reason if reason is not Reason.NONE)
 
-EXPOSED: Final = ("Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified")
-"""Headers that a viewer has to see to read a file by ranges."""
+EXPOSED: Final = (
+    "Accept-Ranges",
+    "Content-Length",
+    "Content-Range",
+    "ETag",
+    "Last-Modified",
+)  # headers that a viewer needs to read a file by ranges
 
 
 class Viewer(msgspec.Struct, frozen=True):
-    """A program in the browser that opens a log by its address."""
+    """A viewer in the browser that opens a log by its URL."""
 
     url: str
     name: str
@@ -186,25 +181,18 @@ def viewer(text: str) -> Viewer:
 
 
 def is_log(name: str) -> bool:
-    """Return True for a name that a log of the directory can have; no hidden file's."""
+    """Return True for the name of a log, finished or in progress, that is not hidden."""
     return name.removesuffix(PART).endswith(".mcap") and not name.startswith(".")
 
 
 class DeskLogs:
-    """A directory of logs, and the viewers whose pages may read them.
-
-    Attributes:
-        scratch: a directory of its own, which goes at the end.
-        jobs: the line in which questions about one log wait.
-    """
+    """A directory of logs, and the viewers whose pages may read them."""
 
     @classmethod
     def open(cls, directory: str, viewers: Sequence[str] = ()) -> Self:
-        """Return the logs of this directory, which ``desk.logs`` names."""
         return cls(_readable_directory(directory).absolute(), [viewer(one) for one in viewers])
 
     def __init__(self, directory: Path, viewers: Sequence[Viewer] = ()) -> None:
-        """Read this directory; reports are made in another, which goes at the end."""
         self.directory = directory
         self.jobs = Jobs(QUESTIONS_AT_ONCE)
         self._scratch = tempfile.TemporaryDirectory(prefix="cruiser-web-")
@@ -239,9 +227,9 @@ class DeskLogs:
         self._scratch.cleanup()
 
     def path(self, name: str) -> Path | None:
-        """Return the log of this name; None if it is none, or only points to one.
+        """Return the log of this name; None if there is none, or it is a link.
 
-        One that was being written when the page was opened may be whole by now.
+        A log that was in progress when the page was opened may be finished by now.
         """
         for one in (name, name.removesuffix(PART)):
             path = self.directory / one
@@ -253,7 +241,7 @@ class DeskLogs:
 
     async def download(self, request: Request) -> Response:
         path = self.path(request.path_params["name"])
-        # The length of one that still grows cannot be said before.
+        # The length of a growing log is not known.
         if path is None or path.name.endswith(PART):
             return missing()
         if not is_readable(path):
@@ -261,7 +249,7 @@ class DeskLogs:
         return _Download.open(path) or missing()
 
     async def report(self, request: Request) -> Response:
-        """Answer with the report of a log, which is made when it is asked for."""
+        """Return the report of a log, made on request."""
         path = self._asked(request)
         if isinstance(path, Response):
             return path
@@ -281,7 +269,7 @@ class DeskLogs:
         return FileResponse(report, media_type="text/html", headers=SANDBOX)
 
     def _asked(self, request: Request) -> Path | Response:
-        """The log that a question is about, or the answer that there is none for this reader."""
+        """Return the log of a request, or the error response."""
         path = self.path(request.path_params["name"])
         if path is None or is_foreign(request):
             return missing()
@@ -293,7 +281,7 @@ class DeskLogs:
             self._made.pop(next(iter(self._made))).unlink(missing_ok=True)
 
     async def _find(self, request: Request) -> Response:
-        """Answer in lines of JSON: first what goes with the answer, then what was found, in its words."""
+        """Answer in lines of JSON: first a header, then what ``cruiser review find`` prints."""
         if is_foreign(request):
             return missing()
         asked = {name: request.query_params.get(name, "")[:TEXT_MAX] for name in ("search", *FLAGS)}
@@ -343,7 +331,7 @@ class DeskLogs:
         return Response(done.output, media_type="application/json")
 
     def _uncataloged(self, *, is_failed: bool) -> list[str]:
-        """Return the newest logs that are being written; or of all, where there is no catalog."""
+        """Return the newest logs in progress; without a catalog the newest of all logs."""
         try:
             with os.scandir(self.directory) as entries:
                 names = sorted(
@@ -355,7 +343,7 @@ class DeskLogs:
 
 
 def _ended_with_the_desk(answer: Answer) -> Answer:
-    """A question that is under way at the desk's end is no fault to be logged: its process ends too."""
+    """Answer 503, without a traceback, to a question that the end of the desk cancels."""
 
     async def quiet(request: Request) -> Response:
         try:
@@ -379,11 +367,11 @@ def _readable_directory(directory: str) -> Path:
 
 
 class _Download(FileResponse):
-    """A file that was opened before anything is said of it: its name may lead elsewhere by now."""
+    """A response from an open file descriptor, so that a renamed or replaced file cannot redirect it."""
 
     @classmethod
     def open(cls, path: Path) -> Self | None:
-        """Open a log; None if it is a link, or no regular file."""
+        """Open a log; None if it is a link or not a regular file."""
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError:
@@ -405,13 +393,13 @@ class _Download(FileResponse):
 
 
 def version(path: Path) -> tuple[str, int, int]:
-    """Return a file's name, size and time: another log under the same name, or one that has grown, is another."""
+    """Return name, size and time of a file, as the key of its report."""
     status = path.stat()
     return path.name, status.st_size, status.st_mtime_ns
 
 
 def is_foreign(request: Request) -> bool:
-    """Return True if another site's page fetches it, unseen; a link that somebody follows is none."""
+    """Return True for a request that another site's page makes in the background; a followed link is none."""
     fetch = request.headers.get
     return fetch("sec-fetch-site", "") in {"cross-site", "same-site"} and fetch("sec-fetch-dest", "") != "document"
 

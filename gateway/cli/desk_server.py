@@ -1,14 +1,12 @@
-"""The desk's HTTP server: the door, the page, the fleet to browsers, their orders to robots.
+"""The desk's HTTP server: connections, the page, and messages between browsers and robots. Needs the extra 'desk'.
 
-Needs the extra 'desk'.
+uvicorn, h11 and websockets process input as fast as it arrives. A few megabytes of tiny frames then block the loop
+for seconds, and a robot that is driven through it stops by its deadman. So ``Door`` passes input on in portions.
+Each WebSocket has its own rate; everything else, up to the end of a request, waits in one queue that serves peers
+in turn.
 
-The protocols of uvicorn, h11 and websockets read what they are given, as fast as it comes. A few megabytes of
-the smallest frames keep a loop busy for seconds: a robot that is driven through it stops by its deadman. So the
-door gives them portions. A WebSocket has a rate of its own: a page that drives waits for no other. All else, from
-the first byte to the end of a request, waits in one line, where peers take turns.
-
-Between Zenoh and the browsers are one listener for all of them, and one session for what they ask. All of it runs
-on one thread. What robots publish waits in Zenoh's rings until the hub looks for it.
+One listener feeds all browsers, and one session carries their requests. All of it runs on one thread. Samples wait
+in Zenoh's rings until the hub polls them.
 """
 
 from __future__ import annotations
@@ -71,34 +69,25 @@ log = logging.getLogger(__name__)
 SOCKETS_MAX: Final = 128
 PEER_SOCKETS_MAX: Final = 64  # WebSockets that are open, of all and of one peer
 READ_BYTES: Final = 4096  # bytes that are read at a time. asyncio's own 256 KiB hold 43,000 frames.
-REQUEST_BYTES: Final = 1024
-"""Bytes of a request that are read in a turn..."""
-
-TURNS_PER_S: Final = 100.0
-"""... turns in a second..."""
-
-TURNS_BURST_S: Final = 1.0
-"""... after a pause of this time so many more at once as there was time for: a page has twenty files..."""
-
-TURN_SHARE: Final = 0.2
-"""... and the part of the time that they may take."""
+REQUEST_BYTES: Final = 1024  # bytes of a request that are processed in one turn
+TURNS_PER_S: Final = 100.0  # turns per second
+TURNS_BURST_S: Final = 1.0  # turns for this time may be made up for after a pause: a page has twenty files
+TURN_SHARE: Final = 0.2  # share of the time that turns may take
 
 ACCEPTS: Final = 16
-ACCEPTS_PAUSE_S: Final = 0.002  # so many connections are accepted, then there is a pause
+ACCEPTS_PAUSE_S: Final = 0.002  # pause after ACCEPTS connections
 EXHAUSTED_S: Final = 1.0  # the pause after this process, or the machine, has run out of files or memory
 UNREAD_S: Final = 60.0  # a peer that takes nothing of what it is sent for this time has gone
 REQUEST_END: Final = re.compile(rb"\n\r?\n")
 
-TOO_MUCH: Final = b"\x88\x02\x03\xf0"
-"""The frame that closes a WebSocket with the code 1008: it broke a rule of this server."""
+TOO_MUCH: Final = b"\x88\x02\x03\xf0"  # the frame that closes a WebSocket with code 1008, policy violation
 
 TRY_AGAIN_LATER: Final = 1013
 FULL: Final = "Too many pages are open from this address. Close one and try again."
-"""The code with which a WebSocket is refused, and its reason."""
 
 
 class Door:
-    """Takes connections in for an ASGI server, and is its outermost application."""
+    """Accepts connections for an ASGI server, and is its outermost application."""
 
     def __init__(self, app: ASGIApp, listening: socket.socket) -> None:
         self._app = app
@@ -107,13 +96,12 @@ class Door:
         self._sockets: Counter[str] = Counter()
         self._arriving: set[asyncio.Task[None]] = set()
         self.line = _Line()
-        self.buffer = bytearray(READ_BYTES)
-        """Of all connections: what is read is taken out at once."""
+        self.buffer = bytearray(READ_BYTES)  # shared by all connections: each copies its data out at once
 
     def open(
         self, make_protocol: Callable[[dict[str, Any]], asyncio.Protocol], context: ssl.SSLContext | None
     ) -> None:
-        """Take connections in from now on; a protocol is given what it puts into the state of its scopes."""
+        """Start to accept connections. ``make_protocol`` gets the state of its scopes."""
         self._make_protocol = make_protocol
         self._context = context
         self._listening.setblocking(False)  # noqa: FBT003 - the library's own
@@ -124,7 +112,7 @@ class Door:
         self._listening.close()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, and know of its connection that it has asked."""
+        """Handle a request, and tell its connection when the request is complete."""
         connection: _Connection = scope["state"]["connection"]
         if scope["type"] == "websocket":
             await self._answer_socket(connection, scope, receive, send)
@@ -148,7 +136,7 @@ class Door:
     async def _answer_socket(self, connection: _Connection, scope: Scope, receive: Receive, send: Send) -> None:
         peer = connection.peer
         if self._sockets[peer] >= PEER_SOCKETS_MAX or self._sockets.total() >= SOCKETS_MAX:
-            # A page learns the code of one that was open, and no status.
+            # A page can read the close code of an open socket, but no HTTP status.
             refused = WebSocket(scope, receive, send)
             await refused.accept()
             await refused.close(TRY_AGAIN_LATER, FULL)
@@ -224,7 +212,7 @@ class Door:
 
 
 class _Line:
-    """Connections that are no WebSocket yet: one at a time, peers in turn, and those of a peer in turn."""
+    """A queue of connections that are not WebSockets: one at a time, round-robin by peer."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Callable[[], None]]] = {}
@@ -232,7 +220,6 @@ class _Line:
         self._is_going = False
 
     def join(self, peer: str, turn: Callable[[], None]) -> None:
-        """Wait at the end of one's peer for the turn."""
         self._waiting.setdefault(peer, deque()).append(turn)
         if not self._is_going:
             self._is_going = True
@@ -260,7 +247,7 @@ class _Line:
 
 
 class _Connection(asyncio.BufferedProtocol):
-    """One connection: what it says waits here, and goes on to the server's protocol in portions."""
+    """One connection: received bytes wait here and go to the server's protocol in portions."""
 
     inner: asyncio.Protocol  # the server's protocol: of HTTP, and after it of a WebSocket
 
@@ -273,19 +260,17 @@ class _Connection(asyncio.BufferedProtocol):
         self._waiting = bytearray()
         self._frames: SocketFrames | None = None
         self._rate = RateLimit(SOCKET_BYTES_PER_S, SOCKET_BURST_S)
-        self._is_held = False
-        """The server's protocol wants nothing more for now."""
-        self._is_due = False
-        """Its turn will come."""
+        self._is_held = False  # the server's protocol has paused reading
+        self._is_due = False  # its turn is scheduled
         self._deadline: asyncio.TimerHandle | None = None
 
     def asks(self) -> None:
-        """It has asked for something whole."""
+        """Note that a complete request has arrived."""
         self._drop_deadline()
         self._door.asks(self)
 
     def rests(self) -> None:
-        """Nothing that it has asked for is under way: the time until it does is bounded."""
+        """Note that no request is in progress; the next must be complete within ``REQUEST_S``."""
         self._drop_deadline()
         self._deadline = self._loop.call_later(REQUEST_S, self.cut)
         self._door.rests(self)
@@ -298,17 +283,16 @@ class _Connection(asyncio.BufferedProtocol):
         if self._transport is not None:
             self._transport.abort()
         else:
-            # In the midst of its TLS handshake.
+            # During the TLS handshake.
             with suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Give the server's protocol a transport whose reading is ours."""
+        """Give the server's protocol a transport whose reading is controlled here."""
         self._transport = cast("asyncio.Transport", transport)
         self.inner.connection_made(cast("asyncio.Transport", _Way(self, self._transport)))
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Tell the server's protocol, and make room."""
         self.leave()
         self.inner.connection_lost(error)
 
@@ -319,16 +303,14 @@ class _Connection(asyncio.BufferedProtocol):
         self.inner.resume_writing()
 
     def get_buffer(self, sizehint: int) -> bytearray:  # noqa: ARG002 - the library's form
-        """Return a place for little."""
         return self._door.buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Let it wait for its turn."""
         self._waiting += self._door.buffer[:nbytes]
         self._go_on(is_first=True)
 
     def hold(self, *, is_held: bool) -> None:
-        """The server's protocol wants more from now on, or nothing."""
+        """Pause or resume what the server's protocol gets."""
         self._is_held = is_held
         self._go_on()
 
@@ -337,7 +319,7 @@ class _Connection(asyncio.BufferedProtocol):
         self._frames = SocketFrames()
 
     def _go_on(self, *, is_first: bool = False) -> None:
-        """Read more only when nothing waits here."""
+        """Pass data on when it is due, and read more only when nothing waits."""
         if self._transport is None or self._transport.is_closing():
             return
         if self._is_held or self._waiting:
@@ -394,28 +376,26 @@ class _Way:
         self._connection = connection
         self._transport = transport
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the transport has
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any attribute of the transport
         return getattr(self._transport, name)
 
     def pause_reading(self) -> None:
-        """Give the protocol nothing more."""
         self._connection.hold(is_held=True)
 
     def resume_reading(self) -> None:
-        """Give the protocol more, when it is its turn."""
         self._connection.hold(is_held=False)
 
     def set_protocol(self, protocol: asyncio.Protocol) -> None:
-        """Speak with another protocol from now on: uvicorn does so for a WebSocket alone."""
+        """Switch to another protocol; uvicorn does so only for a WebSocket."""
         self._connection.become_socket(protocol)
 
 
 POLL_S: Final = 0.01  # the period in which arrivals are taken from Zenoh, and sent on to who looks at their robot
-ROWS_S: Final = 0.2
-"""The period of the overview, sent also where nothing has changed: a page that receives nothing has no contact."""
+ROWS_S: Final = 0.2  # period of the overview, sent even without changes as a sign of life
 
-LATE_NS: Final = 1_000_000_000
-"""After a pause of so long the states that have waited are old, and passed over: newer ones come at once."""
+LATE_NS: Final = (
+    1_000_000_000  # after a longer pause waiting states are outdated and dropped; newer ones follow at once
+)
 
 AGEING: Final = ("/state", "/gateway/health")
 
@@ -423,17 +403,16 @@ ASK_S: Final = 3.0  # the longest wait for the replies to a question
 STOP_S: Final = 5.0
 
 QUESTIONS_MAX: Final = 32  # questions of one browser that may be under way
-REPLIES_MAX: Final = 64  # replies to one question that are passed on: nobody answers so often but who floods
-STOPS_MAX: Final = 4
-"""Stops of one browser whose outcomes are looked for at a time; another is sent, and its outcome not known."""
+REPLIES_MAX: Final = 64  # replies to one query that are passed on; more are a flood
+STOPS_MAX: Final = 4  # pending stops per browser; further ones are sent, but their outcome is not tracked
 
 STOP_THREADS: Final = 16
 
-LOOK_NS: Final = 500_000_000
-"""The last minutes of a robot are sent to one browser at most so often: making them takes milliseconds."""
+LOOK_NS: Final = (
+    500_000_000  # shortest time between two histories for one browser: each takes milliseconds to make
+)
 
-SAMPLE_MAX_BYTES: Final = 65_536
-"""A larger sample or reply is of no gateway, and is passed over. Their own have a few kilobytes."""
+SAMPLE_MAX_BYTES: Final = 65_536  # larger samples and replies are dropped; a gateway's have a few kilobytes
 
 EVENT: Final = "safety/event"
 
@@ -444,12 +423,12 @@ Stopper = Callable[[Settings, str, str, float], StopReport]
 
 
 class Browser:
-    """One browser that is connected.
+    """A connected browser.
 
     Attributes:
-        questions: those under way, by the browser's own numbers.
-        stops: robots that it has stopped, as long as the outcome is looked for.
-        is_new_look: it has not got the last minutes of the robot that it looks at.
+        questions: pending queries, by the browser's own numbers.
+        stops: robots whose stop is being tracked for this browser.
+        is_new_look: the history of its robot is still to be sent.
     """
 
     def __init__(self) -> None:
@@ -467,7 +446,7 @@ class Browser:
 
 
 class Hub:
-    """Carries samples to browsers, and what they ask to robots."""
+    """Carries samples to browsers, and their requests to robots."""
 
     def __init__(
         self,
@@ -484,7 +463,7 @@ class Hub:
         self._port = port
         self._stopper = stopper
         self._has_logs = has_logs
-        # A thread for each stop that is under way: one that waits for a silent robot holds up no other.
+        # A thread per pending stop: a silent robot delays no other stop.
         self._threads: Executor = ThreadPoolExecutor(STOP_THREADS, thread_name_prefix="stop")
         self._stopping: dict[str, set[Browser]] = {}
         self._view = FleetView(self._root)
@@ -492,7 +471,7 @@ class Hub:
         self._now_ns = self._rows_ns = 0
 
     def join(self) -> Browser:
-        """Let a browser in. It is told what the desk is, and all rows."""
+        """Add a browser, and send it the description of the desk and all rows."""
         browser = Browser()
         browser.tell(
             words.DeskHello(
@@ -519,7 +498,7 @@ class Hub:
             await asyncio.sleep(POLL_S)
 
     def step(self, now_ns: int) -> None:
-        """Take what has arrived, and give each browser what it looks at."""
+        """Process arrivals, and send each browser what it shows."""
         is_late = 0 < self._now_ns < now_ns - LATE_NS
         self._now_ns = now_ns
         self._carry_arrivals(is_late=is_late)
@@ -541,15 +520,15 @@ class Hub:
                     browser.tell(message)
 
     def receive(self, browser: Browser, data: bytes) -> None:
-        """Do what a browser says. Whatever cannot be read, or done, is answered in words."""
+        """Process a browser's message. Errors are answered with a text."""
         try:
-            self._obey(browser, words.decode(data))
+            self._process(browser, words.decode(data))
         except (msgspec.DecodeError, msgspec.ValidationError, RecursionError) as error:
             browser.tell(words.DeskRefused(f"the desk cannot read this message: {error}"))
         except (CommandError, ValueError) as error:
             browser.tell(words.DeskRefused(str(error)))
 
-    def _obey(self, browser: Browser, said: words.FromBrowser) -> None:
+    def _process(self, browser: Browser, said: words.FromBrowser) -> None:
         match said:
             case words.BrowserLook(robot=robot):
                 browser.outbox.look(robot)
@@ -574,7 +553,7 @@ class Hub:
                 self._ask(browser, said.number, key, "text/plain", said.statement, said.question)
 
     def _show_history(self, browser: Browser) -> None:
-        """Give a browser the last minutes of the robot that it looks at, once, as soon as it may have them."""
+        """Send a browser the history of its robot, once, as soon as ``LOOK_NS`` allows."""
         is_early = browser.looked_ns is not None and self._now_ns - browser.looked_ns < LOOK_NS
         if not browser.is_new_look or is_early:
             return
@@ -594,9 +573,9 @@ class Hub:
         self._port.query(key, question, payload, encoding, attachment, ASK_S)
 
     def _stop(self, browser: Browser, said: words.BrowserStop) -> None:
-        """Say it at once on the session that is open; what came of it is looked for on sessions of its own.
+        """Send the stop at once on the open session, and track its outcome on a separate one.
 
-        Who stops a robot that is being stopped learns the same: it is of the end, when both were said.
+        Browsers that stop a robot whose stop is already being tracked get the same outcome.
         """
         robot = said.robot or keys.ALL
         self._port.put_signed(keys.command(self._root, robot, said.operator, STOP_VERB), STOP_VERB, b"", b"")
@@ -615,7 +594,7 @@ class Hub:
         future.add_done_callback(lambda done: self._tell_stopped(robot, said.robot, done))
 
     def _tell_stopped(self, robot: str, named: str, done: asyncio.Future[StopReport]) -> None:
-        """Say what came of a stop to all who stopped this robot meanwhile."""
+        """Send the outcome of a stop to all browsers that stopped this robot meanwhile."""
         outcome: words.DeskRefused | words.DeskStopped
         error = done.exception()
         if error is not None:
@@ -687,8 +666,9 @@ PAGE: Final = Path(gateway.desk.__file__).parent / "page"
 
 FOREIGN: Final = 4403
 GONE_BY_LAG: Final = 4408
-FAILED: Final = 1011
-"""Codes with which a WebSocket is closed: its page is another server's; it does not read; it cannot be served."""
+FAILED: Final = (
+    1011  # WebSocket close codes: page of another server; browser does not read; message cannot be encoded
+)
 
 HEADERS: Final = {
     # Nothing but this server's own files, and no script in the page itself.
@@ -703,7 +683,7 @@ HEADERS: Final = {
     "Cache-Control": "no-cache",
 }
 
-PING_S: Final = 2.0  # a browser that is not heard for this time after a ping is gone
+PING_S: Final = 2.0  # time to answer a ping
 
 
 HEAD_BYTES: Final = 8192  # the longest head of a request
@@ -721,7 +701,6 @@ def make_app(hub: Hub, hosts: Sequence[str], logs: DeskLogs | None = None) -> St
 
 
 def make_logs_app(logs: DeskLogs, hosts: Sequence[str]) -> Starlette:
-    """Make the application of a desk without robots, which is reached under these names."""
     return _make_site([Route("/", lambda _: RedirectResponse("/logs.html")), *logs.routes()], hosts)
 
 
@@ -742,7 +721,7 @@ async def _serve(web: WebSocket, hub: Hub) -> None:
 
 
 async def _send(web: WebSocket, browser: Browser) -> None:
-    """Send what waits. While the browser does not read, more waits, and is merged or left out."""
+    """Send what waits. While the browser does not read, waiting messages are merged or dropped."""
     code = GONE_BY_LAG
     try:
         while not browser.outbox.is_full:
@@ -758,7 +737,7 @@ async def _send(web: WebSocket, browser: Browser) -> None:
 
 
 class SecurityHeaders:
-    """Adds the headers to each response that has no others of these names."""
+    """Adds default headers to each response."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -775,11 +754,9 @@ class SecurityHeaders:
 
 
 def _make_site(routes: Sequence[BaseRoute], hosts: Sequence[str]) -> Starlette:
-    """Make an application: its routes, and below them the files of the page.
+    """Make an application of these routes and the files of the page.
 
-    Args:
-        hosts: names under which it is reached. A request with another Host header is refused: it comes from a page
-            whose name was made to point here (DNS rebinding).
+    A request with a Host header that is not in ``hosts`` is refused: its page's name points here (DNS rebinding).
     """
     return Starlette(
         routes=[*routes, Mount("/", StaticFiles(directory=PAGE, packages=[("schemas", "page")], html=True))],
@@ -791,12 +768,12 @@ def _make_site(routes: Sequence[BaseRoute], hosts: Sequence[str]) -> Starlette:
 
 
 def _is_own(scheme: str, headers: Headers) -> bool:
-    """Return True if the page that asks comes from this very server. Browsers say so truly, and always."""
+    """Return True if the page comes from this server. Browsers always send the true origin."""
     return headers.get("origin") == f"{scheme}://{headers.get('host')}"
 
 
 class _Server(uvicorn.Server):
-    """A server that leaves the signals to the command, and the connections to the door."""
+    """A server that leaves signals to the command, and connections to the door."""
 
     def __init__(self, config: uvicorn.Config, door: Door) -> None:
         super().__init__(config)
@@ -826,11 +803,11 @@ async def serve(
     certificate: tuple[Path, Path] | None = None,
     socket_bytes: int = 0,
 ) -> None:
-    """Serve on a bound socket until the end, which is looked at a few times a second.
+    """Serve on a bound socket until ``ends()``.
 
     Args:
-        certificate: files of the chain and its private key, PEM; without it HTTP is not encrypted.
-        socket_bytes: the longest message over a WebSocket; 0 is for a page that opens none.
+        certificate: files of the chain and its private key, PEM; None: plain HTTP.
+        socket_bytes: the longest message over a WebSocket; 0: no WebSockets.
     """
     chain, key = certificate if certificate is not None else (None, None)
     door = Door(app, listening)

@@ -1,6 +1,6 @@
-"""``cruiser doctor``: what is wrong with a robot, and what cures it. It listens and asks, and sends no command.
+"""``cruiser doctor``: what is wrong with a robot's computer, with cures. Listens and asks; sends no command.
 
-With ``--intrude`` it tries to, under a name and a certificate that no robot obeys.
+With ``--intrude`` it tries to command, under a name and a certificate without rights.
 """
 
 from __future__ import annotations
@@ -52,11 +52,15 @@ EXAMPLE: Final = """\
   cruiser doctor
   cruiser doctor --config /etc/cruiser/cruiser.toml --json | jq -r '.findings[].cure'"""
 
-HEARS_S: Final = 1.3  # health comes once a second: who has said nothing for so long says nothing
+HEARS_S: Final = 1.3  # health comes once a second
 POLL_S: Final = 0.02
 
-SEEING: Final = ("viewer.json5", "recorder.json5", "operator.json5", "desk.json5")
-"""Zenoh files of roles that see telemetry."""
+SEEING: Final = (
+    "viewer.json5",
+    "recorder.json5",
+    "operator.json5",
+    "desk.json5",
+)  # Zenoh files of roles that see telemetry
 
 INSTALLED: Final = (
     "gateway/robot.json5",
@@ -69,8 +73,9 @@ INSTALLED: Final = (
 
 ROBOT_FILE: Final = "robot.json5"
 
-OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
-"""Roles of machines that are no robot's computer."""
+OTHER_ROLES: Final = frozenset(
+    {"operator", "viewer", "desk", "recorder"}
+)  # roles of machines that are not a robot's computer
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +99,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Say what is wrong. Exit code 0 if nothing is, or nothing that has to be done."""
+    """Print the findings. Exit code 1 if something must be done."""
     if getattr(arguments, "zenoh.config") is None and SETTINGS["zenoh.config"].variable not in os.environ:
         _check_role(settings)
     names_bus = (getattr(arguments, "can.interface"), getattr(arguments, "can.channel")) != (None, None)
@@ -104,7 +109,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _tried(settings: Settings) -> str:
-    """Return what somebody without any right can do to the robot, or why that was not tried; empty if nothing."""
+    """Return what a client without rights can do to the robot, or why that was not tested; empty if nothing."""
     if settings.authority.mode != "signed":
         return 'open mode rejects no client; set authority.mode = "signed"'
     try:
@@ -114,7 +119,7 @@ def _tried(settings: Settings) -> str:
 
 
 def _check_role(settings: Settings) -> None:
-    """Check that the settings are not those of somebody who looks and drives: the findings would be a robot's."""
+    """Refuse the settings of a machine that is not a robot's computer: the findings would not be about it."""
     role = role_of(Path(settings.zenoh.config)) if settings.zenoh.config else ""
     if role in OTHER_ROLES and not (directory_of(settings.authority) / KEY_FILE.format(who="robot")).exists():
         raise CommandError(
@@ -128,7 +133,7 @@ def _check_role(settings: Settings) -> None:
 def look(
     settings: Settings, timeout_s: float, stopped: Callable[[], bool], *, follows_gateway: bool = False
 ) -> Facts:
-    """Look at everything; with ``follows_gateway`` at the bus of the gateway that runs, if that is another."""
+    """Collect all facts. ``follows_gateway``: of the running gateway's bus, if it is another one."""
     now_s = time.time()
     zenoh = ask(settings, timeout_s, stopped)
     bus_of_settings = ""
@@ -158,7 +163,7 @@ def look(
 
 
 def report(facts: Facts, found: list[Diagnosis], *, as_json: bool) -> ExitCode:
-    """Print what was found, and return the exit code for it."""
+    """Print the findings, and return the exit code."""
     is_well = all(one.is_note for one in found)
     text = summary(facts) if is_well else ""
     if as_json:
@@ -177,7 +182,7 @@ def report(facts: Facts, found: list[Diagnosis], *, as_json: bool) -> ExitCode:
 
 
 def ask(settings: Settings, timeout_s: float, stopped: Callable[[], bool]) -> ZenohReport:
-    """Ask the gateway and the recorders, as far as anything here may."""
+    """Ask the gateway and the recorders, as far as the keys here allow."""
     zenoh = settings_to_ask(settings)
     settings = msgspec.structs.replace(settings, zenoh=zenoh)
     is_blind = Path(zenoh.config).name == ROBOT_FILE
@@ -241,13 +246,13 @@ def _message(received: Received) -> Message | None:
 
 
 def _runs(replies: Iterable[Received]) -> dict[int, GatewayInfo]:
-    """The gateways that replied, by when they were started: each run once."""
+    """Return the gateways that replied, by start time: each run once."""
     found = (_message(reply) for reply in replies)
     return {info.started_ns: info for info in found if isinstance(info, GatewayInfo)}
 
 
 def _settings_of(runs: Mapping[int, GatewayInfo]) -> Settings | None:
-    """The settings of the gateway by its own word; None where that is not known of just one."""
+    """Return the gateway's settings as it reports them; None unless exactly one gateway replied."""
     if len(runs) != 1:
         return None
     (info,) = runs.values()
@@ -257,7 +262,7 @@ def _settings_of(runs: Mapping[int, GatewayInfo]) -> Settings | None:
 
 
 def _clock_moved_s(health: GatewayHealth, runs: Collection[int]) -> float:
-    """So far the robot's clock was set since its gateway started; zero where that is not known of just one."""
+    """Return by how much the robot's clock was set since its gateway started; 0 unless exactly one is known."""
     if len(runs) != 1:
         return 0.0
     (started_ns,) = runs
@@ -265,7 +270,7 @@ def _clock_moved_s(health: GatewayHealth, runs: Collection[int]) -> float:
 
 
 def settings_to_ask(settings: Settings) -> ZenohSettings:
-    """The settings to ask with: a robot's own certificate sees nothing, and a gateway may listen elsewhere."""
+    """Return settings that can see: a robot's own certificate sees nothing, and a gateway may only listen."""
     zenoh = settings.zenoh
     own = Path(zenoh.config)
     if own.name == ROBOT_FILE:
@@ -285,7 +290,7 @@ def _loopback(endpoint: str) -> str:
 
 
 def _zenoh_files(settings: Settings) -> list[Path]:
-    """Zenoh files with certificates that are installed here."""
+    """Return the installed Zenoh files that have certificates."""
     base = directory_of(settings.authority).parent
     found = [Path(settings.zenoh.config)] if settings.zenoh.config else []
     found += [file for file in (base / name for name in INSTALLED) if file.exists()]

@@ -1,8 +1,8 @@
 """``cruiser drive``: drive a robot with the keys of a terminal, or for a while from a script.
 
-Hold to move: a terminal reports no release of a key, so a key counts as held while it repeats. Motion begins with
-its first repetition, and ends soon after the last. A link that stalls delivers old strokes in a burst: after a
-pause or a burst a key must be let go and pressed again.
+Hold to move: a terminal reports no release of a key, so a key counts as held while it repeats. Motion starts with
+the first repeat, and ends soon after the last. A link that stalls delivers old key strokes in a burst: after a
+pause or a burst a key must be released and pressed again.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _READ_BYTES: Final = 1024
 
 
 class Terminal:
-    """A terminal without echo, lines and signals while the block runs; as it was afterwards."""
+    """A terminal without echo, lines and signals during the block; restored afterwards."""
 
     def __init__(self, read_from: int) -> None:
         self._in = read_from
@@ -74,7 +74,7 @@ class Terminal:
             termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)
 
     def read(self, timeout_s: float) -> bytes | None:
-        """Return the typed bytes; none if nothing was typed in time; None once the terminal has gone."""
+        """Return what was typed; b"" if nothing was in time; None once the terminal has gone."""
         try:
             if not select.select([self._in], [], [], timeout_s)[0]:
                 return b""
@@ -84,12 +84,11 @@ class Terminal:
 
 
 REPEAT_NS: Final = 200_000_000  # a key that repeats comes again within this time; slow keyboards take 90 ms
-BEGIN_NS: Final = 800_000_000
-"""A key that is held begins to repeat within this time; keyboards wait for up to 660 ms."""
-
+BEGIN_NS: Final = 800_000_000  # a held key starts to repeat within this time; keyboards wait for up to 660 ms
 BEGIN_MIN_NS: Final = 150_000_000  # no keyboard begins to repeat sooner
-BURST_STROKES: Final = 6
-"""As many strokes of one key in one read have waited somewhere: the fastest keyboards take 15 ms for each."""
+BURST_STROKES: Final = (
+    6  # more strokes of a key in one read were delayed: the fastest keyboards take 15 ms for each
+)
 
 LONGEST: Final = 64  # no sequence that a terminal sends is longer
 _ESCAPE: Final = 0x1B
@@ -101,7 +100,7 @@ _CHARACTERS: Final = {0x03: "ctrl-c", 0x20: "space"}
 
 
 class Wish(msgspec.Struct, frozen=True):
-    """The motion asked for, as fractions of the chosen speed and angle. Forward and left are positive."""
+    """The requested motion, as fractions of the chosen speed and angle. Forward and left are positive."""
 
     forward: int = 0
     left: int = 0
@@ -123,21 +122,22 @@ BINDINGS: Final[dict[str, Wish]] = {
     "m": Wish(-1, 1),
     ".": Wish(-1, -1),
 }
-"""Any other key means: stand. Those that drive a curve are where ROS's teleop_twist_keyboard has them: a terminal
-repeats one key only, so speed and angle must come from one."""
+"""Keys that drive; any other key means zero speed. Curves are where ROS's teleop_twist_keyboard has them: a
+terminal repeats only one key, so one key must give speed and angle.
+"""
 
 
 class KeyDecoder:
-    """Makes keys of what is read, however it is cut in pieces.
+    """Decodes keys from bytes, in pieces of any size.
 
-    A key is a lower-case letter, ``up``, ``space``, ``ctrl-c``; empty if it is any other.
+    A key is a lower-case letter, ``up``, ``space``, ``ctrl-c``; any other is ''.
     """
 
     def __init__(self) -> None:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """The keys of these bytes. Without any, what has begun is a key by itself, such as Escape."""
+        """Return the keys of these bytes. Without bytes, an unfinished sequence is a key (Escape)."""
         if not data:
             begun, self._rest = self._rest, b""
             return [""] if begun else []
@@ -169,7 +169,7 @@ class HeldKeys:
         self._until_ns = 0
 
     def receive(self, keys: list[str], now_ns: int) -> list[str]:
-        """Take in the keys that the terminal sent at one time. Returns those that do not drive."""
+        """Process keys that were read together. Returns those that do not drive."""
         pressed, strokes = "", 0
         for key in keys:
             if key in BINDINGS:
@@ -191,10 +191,9 @@ class HeldKeys:
         self._until_ns = 0
 
     def _repeat(self, key: str, strokes: int, now_ns: int) -> None:
-        """A key came, and its terminal does not say whether it is held: if it repeats as a keyboard does, it is.
+        """Decide whether a key is held: a terminal does not say, but a held key repeats as keyboards do.
 
-        That is: a stroke after a silence is a press, its first repetition comes after a keyboard's own delay, and
-        the others follow without a pause.
+        A stroke after a silence is a press, the first repeat comes after a delay, the others without a pause.
         """
         same, since_ns = key == self._last, now_ns - self._last_ns
         goes_on = same and now_ns < self._until_ns
@@ -212,7 +211,7 @@ def _character(code: int) -> str:
 
 
 class Cockpit(msgspec.Struct, frozen=True):
-    """All that is shown."""
+    """The values on the screen."""
 
     robot: str
     lease: int
@@ -269,8 +268,7 @@ ANGLE_DEG: Final = 15.0
 SPEED_STEP_MPS: Final = 0.1
 
 KEY_S: Final = 0.02  # the period in which keys are read, and the set point renewed
-KEY_HOLD_S: Final = 0.3
-"""A terminal that takes no output, and holds us up, does not keep the robot moving for longer."""
+KEY_HOLD_S: Final = 0.3  # a terminal that blocks our output keeps the robot moving no longer than this
 
 DRAW_S: Final = 0.1
 
@@ -309,7 +307,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Drive. Exit code 1 if the robot was stopped, or did not move; 3 if a script's drive was ended early."""
+    """Drive. Exit code 1 if the robot was stopped or did not move; 3 if a script's drive ended early."""
     by_script = arguments.seconds is not None
     if by_script and arguments.speed is None:
         raise CommandError("--seconds needs --speed", ExitCode.USAGE)
@@ -354,7 +352,7 @@ def _by_script(robot: Robot, lease: Lease, arguments: argparse.Namespace, stoppe
 
 
 class _Keys:
-    """A drive by keys."""
+    """A drive with the keyboard."""
 
     def __init__(self, robot: Robot, lease: Lease, arguments: argparse.Namespace) -> None:
         self._robot = robot
@@ -368,8 +366,8 @@ class _Keys:
         self._is_leaving = False
 
     def drive(self, stopped: Callable[[], bool]) -> None:
-        """Drive until the person leaves, and bring the robot to rest."""
-        # On the other screen, as in 'cruiser watch': nobody reads an old view as the present one.
+        """Drive until the user quits, and bring the robot to rest."""
+        # On the alternate screen, so that no outdated view stays in the terminal.
         with (
             Live(console=Console(), auto_refresh=False, screen=True) as live,
             Terminal(sys.stdin.fileno()) as terminal,
@@ -414,7 +412,7 @@ class _Keys:
 
     def _reset(self) -> None:
         try:
-            # Whoever presses the key has the names before them.
+            # The names are on the screen.
             of = next((name for name in self._robot.state().state.stopped_by if name != self._robot.operator), "")
             self._message = (
                 f"reset: {self._lease.reset(of, wait=False) or 'nothing was latched'}; press g to engage"

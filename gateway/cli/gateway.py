@@ -81,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def _run_noted(core: Core, settings: Settings) -> Iterator[None]:
-    """Have the next gateway know whether this one ended in order."""
+    """Record for the next gateway whether this one ended properly."""
     note = RunNote.of(settings)
     if note.begin():
         core.note_crash(time.monotonic_ns())
@@ -93,9 +93,9 @@ def _run_noted(core: Core, settings: Settings) -> Iterator[None]:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the gateway until it is stopped, or until its keys were renewed and whoever manages it starts it again.
+    """Run the gateway until it is stopped, or until its keys were renewed and its service manager restarts it.
 
-    A restart never clears a latch: the gateway begins with what was latched before.
+    A restart clears no latch.
     """
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
     # Before anything is read: what is replaced meanwhile is new.
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def _join(
     settings: Settings, signed: SignedMode | None
 ) -> tuple[ZenohNode | LateNode, CommandInbox | LateInbox | None, ZenohPlace]:
-    """Open the gateway's sessions. A client whose router is away, or lets it in no more, joins later."""
+    """Open the gateway's sessions. A client without an accepting router joins later."""
     try:
         (node, inbox), place = _open_sessions(settings, signed)
     except SessionError as error:
@@ -224,7 +224,7 @@ def _manager(closing: ExitStack) -> Manager | None:
 
 
 def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: ZenohPlace) -> None:
-    """Have nobody engage a robot whose own file or endpoints let anybody in."""
+    """Bar engaging if the robot's own file or endpoints accept any client."""
     if signed is not None:
         from gateway.host.self_test import Reached, own_fault  # noqa: PLC0415 - open mode does without
 
@@ -238,7 +238,7 @@ def _notes(signed: SignedMode | None, renewal: Renewal | None, node: ZenohNode |
 
 
 def _signed_mode(settings: Settings, core: Core, closing: ExitStack) -> SignedMode | None:
-    """The authority of a robot in signed mode. Without its keys telemetry runs, and nothing arms."""
+    """Return the authority of a robot in signed mode. Without its keys only telemetry runs."""
     if settings.authority.mode != "signed":
         return None
     # What proves and verifies takes a quarter of the process's memory: open mode does without. It is loaded here,
@@ -267,14 +267,14 @@ def _renewal(settings: Settings) -> Renewal | None:
 
 
 def _warn_of_bars(core: Core, settings: Settings, place: ZenohPlace) -> None:
-    """Say why nobody can engage this robot. In open mode it arms where this machine alone reaches it."""
+    """Log why the robot cannot be engaged. Open mode arms only if other machines cannot reach the gateway."""
     if core.command is not None and settings.authority.mode == "open" and place.outside:
         core.bar({Reason.UNAUTHENTICATED: f"by {', '.join(place.outside)}"}, time.monotonic_ns())
     warn_of_bars(core.bars)
 
 
 def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings: Settings) -> None:
-    """The loop has failed. A guard that watches stops the robot now; where there is none, it is done from here."""
+    """Stop the robot after the loop failed, if no guard does."""
     told = None if core.command is None else core.command.arbiter.output.actuation
     if core.command is None or told is None or guard.look().is_watching:
         return
@@ -290,7 +290,7 @@ def _stop_unguarded(core: Core, bus: ReconnectingBus, guard: GuardLink, settings
 
 
 def _recall_latched(core: Core, settings: Settings) -> LatchNote:
-    """Latch what was latched before this start. Returns the note that holds it."""
+    """Restore the latches from before this start. Returns their note."""
     note = LatchNote.of(settings)
     if latched := {one.value: text for one, text in note.read().items()}:
         core.take_over(Carried(latched), time.monotonic_ns())
@@ -298,7 +298,7 @@ def _recall_latched(core: Core, settings: Settings) -> LatchNote:
 
 
 def _recall_guard_stop(core: Core, settings: Settings) -> StopNote:
-    """Latch a stop by the guard from before this start. Returns the note that holds it."""
+    """Latch a stop by the guard from before this start. Returns its note."""
     note = StopNote.of(settings)
     why_not = note.why_not()
     if core.command is not None and why_not:
@@ -349,7 +349,7 @@ def _first_bus(settings: Settings) -> Bus | None:
 
 
 def _info(settings: Settings, core: Core, place: ZenohPlace) -> Callable[[], bytes]:
-    """The payload of gateway/info. All but the variant is the same for ever, so it is made once."""
+    """Return a function for the payload of gateway/info, whose parts other than the variant never change."""
     configuration = to_toml(settings)
     versions = {name: installed_version(name) for name in VERSIONS_TOLD} | {"python": sys.version.split()[0]}
     schemas = robot_schema_texts()

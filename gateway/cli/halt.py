@@ -1,4 +1,4 @@
-"""``cruiser halt``: the stop sequence by hand, or by systemd's ExecStopPost. It needs no gateway and no Zenoh."""
+"""``cruiser halt``: the stop sequence by hand, or by systemd's ExecStopPost. Needs no gateway and no Zenoh."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class HaltSequence:
         return code
 
     def _is_commanded(self) -> bool:
-        """Return True if a sender was heard while we listened. A guard begins only once its gateway is late."""
+        """Return True if another sender was seen lately. A guard begins only once its gateway is late."""
         heard_ns = self._view.commander_ns
         return heard_ns is not None and time.monotonic_ns() - heard_ns < HALT_LISTEN_NS
 
@@ -134,7 +134,7 @@ class HaltSequence:
         return self._view.mode(time.monotonic_ns()) is Mode.REMOTE
 
     def _wait_while(self, condition: Callable[[], bool]) -> bool:
-        """Listen while this holds. False if it still does when the time is over."""
+        """Listen while this holds; False if it still does at the end of the wait."""
         end_ns = time.monotonic_ns() + self._wait_ns
         while condition():
             if time.monotonic_ns() >= end_ns or self._stopped():
@@ -181,7 +181,7 @@ class HaltSequence:
         while not stopper.is_over:
             now_ns = time.monotonic_ns()
             if now_ns > braked_ns and not stopper.is_paused:
-                # It goes on being told so: the chassis obeys its last command for ever.
+                # Zero speed is commanded until the end: the chassis repeats its last command for ever.
                 stopper.give_up(NOT_OBEYED)
                 break
             frames = stopper.tick(now_ns)

@@ -1,4 +1,4 @@
-"""``cruiser lease``: who may command the robot; acquire, take and keep the right to."""
+"""``cruiser lease``: show, acquire, take and keep the lease of a robot."""
 
 from __future__ import annotations
 

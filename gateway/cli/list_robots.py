@@ -1,4 +1,4 @@
-"""``cruiser list``: all robots, lost ones too: state, speed, driver, health, and what needs attention."""
+"""``cruiser list``: all robots, including lost ones: state, speed, driver, health, and what needs attention."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ EXAMPLE = """\
 log = logging.getLogger(__name__)
 
 BLIND_ROLES: Final = frozenset({"robot", "router"})  # roles whose certificates see no telemetry of robots
-SEEN_KEPT: Final = 1000  # so many robots are expected at one place
-NAMED_MAX: Final = 8  # so many of the lost robots are named on standard error; each has its line in the list
-ARBITER_S: Final = 0.2  # a robot that has sent no state of an arbiter so long after its own state has none
+SEEN_KEPT: Final = 1000  # remembered robots per network
+NAMED_MAX: Final = 8  # lost robots named on stderr; all are in the list
+ARBITER_S: Final = 0.2  # wait for an arbiter's state after the chassis's
 POLL_S: Final = 0.02  # the period in which arrivals are taken from Zenoh
 
 
@@ -67,10 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """List the robots, several after a line on all of them.
-
-    Exit code 0 if there are any, 1 if there are none, 3 if one is lost or not all may be in the list.
-    """
+    """List the robots. Exit code 1 if there are none, 3 if one is lost or the list may be incomplete."""
     where = place(settings.zenoh)
     expected = Expected(settings)
     if arguments.forget:
@@ -79,7 +76,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         search = _Search(listener, settings.robot.root, expected.matching(arguments.robots))
         reports = search.run(time.monotonic() + arguments.timeout, stopped)
     if stopped():
-        # Who has not answered yet is not known to be silent.
+        # Robots that have not answered yet may not be silent.
         raise KeyboardInterrupt
     if not reports and settings.zenoh.config:
         check_role(settings.zenoh.config)
@@ -111,8 +108,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def check_role(config: str) -> None:
-    """Check that the certificate of a Zenoh file is not of a role that sees no robot."""
-    from gateway.provisioning.key_files import role_of  # noqa: PLC0415 - only where nobody is seen
+    """Refuse a Zenoh file whose certificate cannot see robots."""
+    from gateway.provisioning.key_files import role_of  # noqa: PLC0415 - only if no robot is seen
 
     if (role := role_of(Path(config))) in BLIND_ROLES:
         raise CommandError(
@@ -123,7 +120,7 @@ def check_role(config: str) -> None:
 
 
 class Expected:
-    """The robots that were seen from here before: one that is not there now is lost, and no list leaves it out."""
+    """The robots that were seen before on this network: a missing one is listed as lost."""
 
     def __init__(self, settings: Settings) -> None:
         directory = state_directory(settings.gateway.state_dir, os.environ)
@@ -139,11 +136,10 @@ class Expected:
         return [robot for robot in self._seen.get(self._place, []) if re.fullmatch(keys.ROBOT_PATTERN, robot)]
 
     def matching(self, names: str) -> list[str]:
-        """Return those that a name, or a pattern, means."""
         return fnmatch.filter(self._here, names)
 
     def keep(self, seen: Iterable[str]) -> None:
-        """Remember these too; the newest, if there are too many."""
+        """Add robots; beyond ``SEEN_KEPT`` the oldest go."""
         now = sorted(seen)
         self._write([*(robot for robot in self._here if robot not in now), *now])
 
@@ -161,7 +157,7 @@ class Expected:
 
 
 class Sightings:
-    """The robots that a listener hears, and those that are expected."""
+    """The robots that a listener sees, and those that are expected."""
 
     def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
         self.listener = listener
@@ -181,7 +177,7 @@ class Sightings:
 
 
 class _Search:
-    """Looks for robots until all have sent their state and health and no other appears."""
+    """Waits until all robots have sent state and health, and no other appears."""
 
     def __init__(self, listener: RobotListener, root: str, expected: Iterable[str]) -> None:
         self.linked = False
@@ -192,7 +188,7 @@ class _Search:
 
     @property
     def is_complete(self) -> bool:
-        """Everybody who is connected has been asked which robots are there, and has answered."""
+        """All connected nodes have listed their robots."""
         return self._roll.is_answered
 
     def run(self, deadline_s: float, stopped: Callable[[], bool]) -> list[RobotStatus]:
@@ -201,7 +197,7 @@ class _Search:
         return self._sightings.reports()
 
     def _step(self, now_s: float) -> bool:
-        """Take what has arrived. Return whether nothing more is to be waited for."""
+        """Process arrivals. Return True if there is nothing more to wait for."""
         self._sightings.poll()
         for robot in self._roll.step(now_s):
             change = TokenChange(keys.liveliness(self._root, robot), present=True)
@@ -211,6 +207,6 @@ class _Search:
         if not (self._roll.is_complete(now_s) and all(report.health and report.state for report in reports)):
             self._whole_s = None
             return False
-        # One that has an arbiter says so in the same tick.
+        # An arbiter's state comes in the same tick.
         self._whole_s = self._whole_s or now_s
         return all(report.safety for report in reports) or now_s - self._whole_s > ARBITER_S

@@ -71,21 +71,20 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "metrics": ("gateway.cli.metrics", "serve a fleet's health to Prometheus"),
     },
 }
-"""By group: the name of each command, its module (and the object in it), and its line in the help."""
+"""Commands by group: name, module (and object in it), line in the help."""
 
 COMMANDS: Final = {name: row for commands in GROUPS.values() for name, row in commands.items()}
 
 TAKE_HANGUPS: Final = frozenset({"record"})
-"""Commands to which SIGHUP says something: until they hear it, it says nothing. Others it ends as SIGTERM does."""
+"""Commands that handle SIGHUP themselves; until they do, it is ignored. Others end on it as on SIGTERM."""
 
 END_AT_ONCE: Final = frozenset({"upload"})
-"""Commands whose process ends without Python's finalization: a thread of obstore that still needs Python then
-aborts the process, and where all had gone well, a shell would see a crash."""
+"""Commands whose process ends without Python's finalization, which a thread of obstore turns into an abort."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The entry point of ``cruiser``. Returns the exit code, but for commands that end at once: they end here."""
-    # Until a command takes its signals, Ctrl-C ends the process at once: a traceback tells nobody anything.
+    """Run ``cruiser``, and return the exit code; commands of ``END_AT_ONCE`` do not return."""
+    # Until a command takes its signals, Ctrl-C ends the process at once, without a traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     if sys.stdout is None or sys.stderr is None:
         # A closed stream is None. Nothing is left to say there, but a command need not know that.
@@ -105,7 +104,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _written_answer(words: list[str]) -> int:
-    """Run the command, and see that what it printed is written."""
+    """Run the command, and flush its output."""
     try:
         code = _answer(words)
         sys.stdout.flush()
@@ -121,7 +120,7 @@ def _written_answer(words: list[str]) -> int:
 
 
 def _silence_stdout() -> None:
-    """The reader of our output has gone, as with '| head', or it is full: let the rest go nowhere."""
+    """Discard further output: its reader has gone, as with '| head', or its disk is full."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -219,7 +218,7 @@ def _run(name: str, words: list[str]) -> int:
 
 
 def _fail(name: str, error: CommandError) -> int:
-    """Say why the command ended: where no session opened, by the keys and certificates of its Zenoh file."""
+    """Print why the command ended; if no session opened, by the keys and certificates of the Zenoh file."""
     from schemas.command_line import ExitCode  # noqa: PLC0415 - only for a failure
     from schemas.zenoh_session import SessionError  # noqa: PLC0415 - only for a failure
 
@@ -233,13 +232,13 @@ def _fail(name: str, error: CommandError) -> int:
 
 
 def _not_yet(_number: int, _frame: FrameType | None) -> None:
-    """Takes a signal before there is anything to do about it."""
+    """Ignore a signal until the command handles it."""
 
 
 def _stop_on_signals() -> Callable[[], bool]:
-    """A flag that SIGINT, SIGTERM and SIGHUP raise; a second of the first two ends the process the usual way.
+    """Return a flag that SIGINT, SIGTERM and SIGHUP raise; a second SIGINT or SIGTERM ends the process as usual.
 
-    A terminal that is closed sends SIGHUP, and its shell does so once more: it is no wish to end at once.
+    SIGHUP comes twice when a terminal is closed, so the second one is no wish to end at once.
     """
     raised = threading.Event()
 

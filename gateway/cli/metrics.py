@@ -1,4 +1,4 @@
-"""``cruiser metrics``: what a fleet says of itself, for Prometheus. It commands nothing."""
+"""``cruiser metrics``: a fleet's health for Prometheus. Commands nothing."""
 
 from __future__ import annotations
 

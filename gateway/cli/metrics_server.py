@@ -1,4 +1,4 @@
-"""Answers Prometheus over HTTP. For ``cruiser metrics``; needs the extra 'metrics'."""
+"""Serves metrics to Prometheus over HTTP. Needs the extra 'metrics'."""
 
 from __future__ import annotations
 
@@ -30,19 +30,10 @@ POLL_S: Final = 0.1  # the period in which arrivals are taken from Zenoh
 
 
 class MetricsServer(Collector):
-    """Serves the metrics of a fleet, on threads of its own.
-
-    Attributes:
-        where: its address, as it is typed into a browser.
-    """
+    """Serves the metrics of a fleet on its own threads; ``where`` is its URL."""
 
     def __init__(self, metrics: FleetMetrics, host: str, port: int) -> None:
-        """Listen.
-
-        Args:
-            metrics: the served ones; from here on this server's alone.
-            port: 0 is a free one.
-        """
+        """Listen; port 0 is a free one. From here on the metrics belong to this server."""
         self._metrics = metrics
         self._lock = threading.Lock()
         registry = CollectorRegistry()
@@ -66,7 +57,7 @@ class MetricsServer(Collector):
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
 
     def follow(self, listener: FleetListener, ends: Callable[[], bool]) -> None:
-        """Take over what arrives until the end."""
+        """Process arrivals until ``ends()``."""
         polled_ns = time.monotonic_ns()
         while not ends():
             now_ns = time.monotonic_ns()
@@ -84,7 +75,7 @@ class MetricsServer(Collector):
         yield from families
 
     def describe(self) -> Iterator[Metric]:
-        """Nothing: no other collector of the registry has names of the fleet's."""
+        """Describe nothing, so that the registry does not collect at registration."""
         yield from ()
 
     def __enter__(self) -> Self:
@@ -98,7 +89,7 @@ class MetricsServer(Collector):
 
 
 class _Server(ThreadingWSGIServer):
-    """Answers each connection on a thread of its own: so many as there may be, each for as long as it may take."""
+    """Answers each connection on its own thread; bounds their number and duration."""
 
     request_queue_size = 128
 
@@ -110,7 +101,7 @@ class _Server(ThreadingWSGIServer):
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ANN401 - the library's
-        """Take a connection in, or not; called on the server's thread, as ``service_actions`` is."""
+        """Accept a connection, or not; called on the server's thread, as ``service_actions`` is."""
         now_s = time.monotonic()
         with self._lock:
             if self._peers.pause_s(now_s):
@@ -123,14 +114,14 @@ class _Server(ThreadingWSGIServer):
         return True
 
     def service_actions(self) -> None:
-        """End what takes too long: called twice a second, and behind each connection."""
+        """Cut connections that take too long; called twice a second, and after each connection."""
         late_s = time.monotonic() - REQUEST_S
         with self._lock:
             late = [one for one, begun_s in self._begun_s.items() if begun_s < late_s]
         self._cut(late)
 
     def close_request(self, request: Any) -> None:  # noqa: ANN401 - the library's
-        """Make room; called on the connection's thread."""
+        """Forget a connection; called on its own thread."""
         with self._lock:
             self._peers.leave(request)
             self._begun_s.pop(request, None)
@@ -144,7 +135,7 @@ class _Server(ThreadingWSGIServer):
 
 
 def _for_this_machine(app: WSGIApplication) -> WSGIApplication:
-    """Refuse a request under another name than an address or localhost: of a page whose name points here."""
+    """Refuse a request whose Host header is neither an address nor localhost (DNS rebinding)."""
 
     def answer(environ: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
         name = re.sub(r":\d*\Z", "", environ.get("HTTP_HOST", "")).strip("[]")
@@ -161,7 +152,5 @@ def _for_this_machine(app: WSGIApplication) -> WSGIApplication:
 
 
 class _Handler(WSGIRequestHandler):
-    """Answers one request."""
-
     def log_message(self, *_said: object) -> None:
         """Log nothing: Prometheus asks every few seconds."""

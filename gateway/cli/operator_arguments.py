@@ -1,8 +1,4 @@
-"""Arguments of commands to one robot, and the lease that they take for it.
-
-- The flags that an operator's commands share.
-- A robot that is engaged for a while by a command, and is at rest when the command ends.
-"""
+"""Arguments of commands to one robot, and how these connect, engage and come to rest."""
 
 from __future__ import annotations
 
@@ -21,7 +17,6 @@ from schemas.settings import Settings
 
 
 def add_operator_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags for who commands, and where the robots are."""
     parser.add_argument(
         "--operator", type=operator_name, metavar="NAME", help="operator's name (default: login name)"
     )
@@ -41,7 +36,7 @@ def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_take_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags that ``wanted_lease`` reads: the role, and whether to take the lease from its holder."""
+    """Declare the flags that ``wanted_lease`` reads."""
     parser.add_argument(
         "--role",
         type=Role,
@@ -63,7 +58,7 @@ def wanted_lease(robot: Robot, arguments: argparse.Namespace) -> Lease:
 
 
 def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> Robot:
-    """Connect as the arguments say. Who names a robot that is not there learns which are."""
+    """Connect as the arguments say. The error for an unknown robot lists those that are connected."""
     try:
         return Robot.connect(arguments.robot, arguments.operator or "", settings, arguments.timeout, stopped)
     except Unreachable as error:
@@ -83,13 +78,13 @@ POLL_S: Final = 0.05
 
 @contextmanager
 def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Iterator[None]:
-    """The robot is engaged within the block, and stands by after it. A stop under way is waited for."""
+    """Engage the robot for the block, and bring it back to standby."""
     lease.engage(deadman_s=deadman_s)
     try:
         yield
         lease.check()
     except BaseException as error:
-        # Why the block ended is the news; that the robot does not answer now either is none.
+        # The first error is the cause; a silent robot causes another one here.
         with suppress(CommandError):
             come_to_rest(lease, robot)
         if isinstance(error, Unreachable):
@@ -103,7 +98,7 @@ def engaged(lease: Lease, robot: Robot, deadman_s: float | None = None) -> Itera
 
 
 def come_to_rest(lease: Lease, robot: Robot) -> None:
-    """Disengage, if the robot is engaged, and wait until its stop sequence has ended."""
+    """Disengage, if engaged, and wait for the end of the stop sequence."""
     if lease.is_engaged:
         lease.disengage(wait=False)
     robot.wait_for_rest()

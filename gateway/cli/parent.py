@@ -1,6 +1,6 @@
-"""The end of a command whose parent is gone: by a pipe that only the parent can close.
+"""The end of a command whose parent has gone, by a pipe that only the parent can close.
 
-A module of its own, so that ``cruiser --help`` loads no settings.
+Separate, so that ``cruiser --help`` loads no settings.
 """
 
 from __future__ import annotations
@@ -11,17 +11,14 @@ import threading
 import time
 from typing import Final
 
-VARIABLE: Final = "CRUISER_PARENT_PIPE"
-"""Names the reading end, a file descriptor. The parent holds the other end, and writes nothing."""
-
+VARIABLE: Final = "CRUISER_PARENT_PIPE"  # the reading end's descriptor; the parent holds the other
 END_S: Final = 20.0  # the longest time that an orderly end may take
 
 
 def end_with_parent() -> None:
-    """End this process as by SIGTERM when its parent is gone, however it ended.
+    """Terminate this process when its parent has ended in any way, even by SIGKILL.
 
-    SIGKILL of the parent closes its end of the pipe too. PR_SET_PDEATHSIG would be Linux's alone, and would act
-    where the thread ends that started the child.
+    PR_SET_PDEATHSIG exists only on Linux, and acts when the thread ends that started the child.
     """
     pipe = os.environ.pop(VARIABLE, "")
     if pipe.isdecimal():

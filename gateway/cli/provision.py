@@ -1,4 +1,4 @@
-"""``cruiser provision``: keys, certificates, grants and statements. Keys stay where they are made."""
+"""``cruiser provision``: keys, certificates, grants and statements. Private keys stay where they are made."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
-    """Return the grant that the flags ask for, else as the same key had it, or else the usual."""
+    """Return the grant of the flags, completed by the key's last grant, or by defaults."""
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
@@ -122,9 +122,9 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
 
 
 def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> str:
-    """Return a warning that all is granted because the key was never let in here; empty if it is not so.
+    """Return a warning if a key without an earlier grant gets everything; else empty.
 
-    The list of who was let in is the authority's own: a new authority knows none of the former's limits.
+    A new authority does not know the limits that the former one set.
     """
     is_limited = arguments.robots or arguments.verbs or arguments.speed_limit is not None
     if last is not None or is_limited or request.role is not EnrolmentRole.OPERATOR:
@@ -144,7 +144,7 @@ def grant_line(grant: Grant) -> str:
 
 
 def matching(pattern: str, what: str) -> Callable[[str], str]:
-    """An argument that matches a pattern; of another one is said what it is."""
+    """Return a reader of arguments that match a pattern; ``what`` completes its error."""
 
     def checked(text: str) -> str:
         if re.fullmatch(pattern, text) is None:
@@ -185,14 +185,17 @@ def _number(text: str, most: float, otherwise: str) -> float:
     return value
 
 
-SENDERS: Final = ("desk", "operator", "viewer")
-"""The roles whose certificate is used, in order of preference, if the settings name none."""
+SENDERS: Final = (
+    "desk",
+    "operator",
+    "viewer",
+)  # roles whose certificate is used if the settings name none, in order of preference
 
 Stopped = Callable[[], bool]
 
 
 class _Answer(msgspec.Struct, frozen=True):
-    """The result of a statement at one robot."""
+    """A robot's result for a statement."""
 
     text: str
     code: ExitCode
@@ -244,7 +247,7 @@ def _code(codes: list[ExitCode]) -> ExitCode:
 def _judge(
     reply: Received | None, question: bytes, robot: str, chain: list[Signed], settings: Settings, store: KeyStore
 ) -> _Answer:
-    """Return the result of a statement at one robot, whose answer has to cover the question."""
+    """Return a robot's result for a statement, if its reply is signed for this question."""
     if reply is None:
         return _Answer("no reply", ExitCode.UNREACHABLE)
     try:
@@ -272,11 +275,11 @@ def _doubt(
     settings: Settings,
     store: KeyStore,
 ) -> str:
-    """Return why the answer may be somebody else's; empty if the robot signed it."""
+    """Return why the reply may not be the robot's; empty if the robot signed it."""
     if not store.has(AUTHORITY_FILE):
         return f"{store.path(AUTHORITY_FILE)} is missing"
     trust = store.read_as(AUTHORITY_FILE, AuthorityKeys, "'cruiser provision install' writes it").trust
-    # A key of its own: nothing is signed with it.
+    # A throw-away key: nothing is signed with it.
     proof = OperatorProof(
         Ed25519PrivateKey.generate(), chain, trust, settings.robot.root, lambda: int(time.time())
     )
@@ -287,7 +290,7 @@ def _doubt(
 
 
 def _reaching(settings: Settings, store: KeyStore) -> Settings:
-    """The settings, with the Zenoh file of who is provisioned here where they name none."""
+    """Return settings with a Zenoh file from this directory, if they name none."""
     if settings.zenoh.config:
         return settings
     found = [name for who in SENDERS if store.has(name := ZENOH_FILE.format(who=who))]
@@ -482,7 +485,7 @@ def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Setting
 
 
 class _Output:
-    """A file that travels, and can be written: that is seen before anything is made, signed or numbered for it."""
+    """A file to write; checked before anything is made, signed or numbered for it."""
 
     def __init__(self, arguments: argparse.Namespace, usual: Path) -> None:
         self.path = Path(arguments.out) if arguments.out else usual

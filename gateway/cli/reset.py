@@ -1,7 +1,4 @@
-"""``cruiser reset``: clear what is latched.
-
-Small, because each command is a file.
-"""
+"""``cruiser reset``: clear a robot's latches. Short, as each command is a file."""
 
 from __future__ import annotations
 

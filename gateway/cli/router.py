@@ -1,4 +1,4 @@
-"""``cruiser router``: where robots and people meet. It passes on what each role may say, and nothing else."""
+"""``cruiser router``: a Zenoh router that lets each role publish and receive only its own keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``cruiser setup``: ask, write the settings, enable the services, and end with what doctor says."""
+"""``cruiser setup``: ask, write the settings, enable the services, and end with doctor's findings."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ LOGS: Final = "/var/lib/cruiser/logs"
 NETWORK: Final = "/etc/systemd/network"
 UNITS: Final = "/etc/systemd/system"
 
-BUDGET_BYTES: Final = 20_000_000_000  # logs may take so much, or BUDGET_SHARE of the disk where that is less
+BUDGET_BYTES: Final = 20_000_000_000  # for logs; less on a disk of which BUDGET_SHARE is less
 
 BUDGET_SHARE: Final = 0.7
 
@@ -55,7 +55,7 @@ QUEUE_FRAMES: Final = 10
 RESTART_MS: Final = 100
 
 SERVICES: Final = {"gateway": "robot", "recorder": "recorder", "router": "router"}
-"""Our services, each with the role of its certificate; its keys are in a directory of its name."""
+"""Services with the role of their certificates; their keys are in a directory of the service's name."""
 
 
 PENDING: Final = frozenset(
@@ -74,8 +74,7 @@ PENDING: Final = frozenset(
         "disk_unusable",
         "recorder_missing",
     }
-)
-"""Findings that may go by themselves in the first seconds after a start."""
+)  # findings that may disappear in the first seconds after a start
 
 
 class Answers(msgspec.Struct, frozen=True):
@@ -83,7 +82,7 @@ class Answers(msgspec.Struct, frozen=True):
 
     Attributes:
         root: first chunks of every key; empty leaves the settings' own.
-        interface, channel, bitrate: the bus; 0 bit/s is one that has no bit rate, such as vcan.
+        interface, channel, bitrate: the bus; 0 bit/s: it has no bit rate, such as vcan.
         routers: Zenoh endpoints; none keeps the robot to its own machine, or to what its Zenoh file says.
         has_network_file: systemd-networkd has a file for the interface already: a drop-in says the bit rate.
         free_bytes: of the disk of the logs, with what the logs take.
@@ -109,13 +108,13 @@ class Answers(msgspec.Struct, frozen=True):
 
     @property
     def services(self) -> list[str]:
-        """Those that are to run here. In signed mode one without a certificate reaches nobody."""
+        """Return the services to run here. In signed mode those without a certificate reach nothing."""
         wanted = ["gateway", "recorder"] if not self.is_signed else ["gateway"]
         return [name for name in ("router", "gateway", "recorder") if name in {*wanted, *self.keys}]
 
 
 def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) -> str:
-    """The settings of the robot as TOML: those of before, but for what was answered."""
+    """Return the settings as TOML: the former ones, changed by the answers."""
     tables = {name: dict(table) for name, table in before.items()}
 
     def put(table: str, **values: object) -> None:
@@ -148,7 +147,7 @@ def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) 
 
 
 def system_files(answers: Answers) -> dict[str, str]:
-    """Files besides the settings, by their paths: the bus, and which Zenoh file each service reads."""
+    """Return files besides the settings, by path: the bus, and each service's Zenoh file."""
     files = {f"{UNITS}/cruiser-gateway.service.d/bus.conf": _bus(answers)}
     if answers.is_signed and "recorder" in answers.keys:
         files[f"{UNITS}/cruiser-recorder.service.d/zenoh.conf"] = (
@@ -183,7 +182,7 @@ def _bus(answers: Answers) -> str:
 
 
 def escaped(name: str) -> str:
-    """A name as units' names have it (systemd-escape): what is neither letter nor digit by its number."""
+    """Escape a name for a systemd unit, as systemd-escape does."""
     return "".join(
         one if one.isascii() and (one.isalnum() or one in ":_.") else f"\\x{ord(one):02x}" for one in name
     )
@@ -194,7 +193,7 @@ def _zenoh_file(service: str) -> str:
 
 
 def start_services(answers: Answers) -> list[list[str]]:
-    """Programs that let systemd know, and start what is to run here, in their order."""
+    """Return the programs that reload systemd and start the services, in order."""
     programs = [["systemctl", "daemon-reload"]]
     if answers.is_kernels and answers.bitrate:
         programs += [["systemctl", "enable", "--now", "systemd-networkd.service"], ["networkctl", "reload"]]
@@ -209,14 +208,15 @@ EXAMPLE: Final = """\
   sudo cruiser setup                                        asks, with what was found as default
   sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F"""
 
-READY_S: Final = 60.0  # so long the services have to be well, after which what is wrong is said
+READY_S: Final = 60.0  # time for the services to start well
 
 PROGRAM_TIMEOUT_S: Final = 120.0
 
 SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in SERVICES.items()}
 
-NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
-"""Findings of doctor with which nothing is changed: the bus would be taken from somebody who drives."""
+NOBODY_DRIVES: Final = frozenset(
+    {"other_commander", "two_gateways"}
+)  # findings with which setup changes nothing: another process drives the robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -247,8 +247,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Set the robot up. The exit code is that of the examination at the end."""
-    del settings  # Those of the file that is to be written count, not those of who asks.
+    """Set the robot up. Returns the exit code of doctor at the end."""
+    del settings  # The settings of the file to write count, not those of this call.
     if arguments.config is not None:
         raise CommandError(f"setup writes {CONFIGURATION}; --config is not supported", ExitCode.USAGE)
     if os.geteuid() != 0:
@@ -257,7 +257,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def run_to_end(words: Sequence[str]) -> str:
-    """Run a program of the system. Returns why it failed, in one line; empty if it did not."""
+    """Run a system program. Returns why it failed, in one line; empty if it succeeded."""
     try:
         done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
             list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
@@ -273,7 +273,7 @@ def run_to_end(words: Sequence[str]) -> str:
 
 
 class Machine:
-    """Files that are written and programs that are run, each of them said. A test has others in their place."""
+    """Writes files and runs programs, and prints each step. Tests replace both."""
 
     def __init__(self, root: Path = Path("/"), program: Callable[[Sequence[str]], str] = run_to_end) -> None:
         self._root = root
@@ -283,7 +283,7 @@ class Machine:
         return self._root / name.lstrip("/")
 
     def write(self, name: str, text: str) -> None:
-        """Write a file that all may read, whole or not at all. What was there before is kept beside it."""
+        """Write a file that all may read, atomically. A changed file is saved beside it first."""
         path = self.path(name)
         try:
             before = path.read_text("utf-8") if path.exists() else None
@@ -301,7 +301,7 @@ class Machine:
             raise CommandError(f"{name} cannot be written: {why}") from error
 
     def run(self, programs: Iterable[Sequence[str]]) -> None:
-        """Run programs. What keeps a service from starting is what doctor finds afterwards."""
+        """Run programs. Failures are printed; doctor finds their effect."""
         for words in programs:
             say(f"running: {' '.join(words)}")
             if why_not := self._program(words):
@@ -408,7 +408,7 @@ def _interface(machine: Machine, interface: str, channel: str) -> CanInterface |
 def _refuse_where_driven(
     machine: Machine, answers: Answers, before: Settings, stopped: Callable[[], bool]
 ) -> None:
-    """Listen to the bus as it is: services are started again, and a bit rate changed, only where nobody drives."""
+    """Listen to the bus before any change: refuse while the robot is being driven or moves."""
     can = msgspec.structs.replace(
         before.can, interface=answers.interface, channel=answers.channel, bitrate=answers.bitrate
     )
@@ -420,7 +420,7 @@ def _refuse_where_driven(
         settings,
         "",
         time.time(),
-        # The service's own gateway is about to be started anew; any other is one too many.
+        # The service's gateway will be restarted; any other one is in the way.
         claims=count_claims(can) + (0 if is_running else 1),
         bus=listen(settings, stopped) if is_open else None,
     )
@@ -459,7 +459,7 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
 
 
 def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path, Bundle]) -> None:
-    """Have the authority of bundles compared where it is not known here."""
+    """Have the user confirm an authority that is not known here."""
     fresh = []
     for file, bundle in bundles.items():
         if arguments.fingerprint not in {None, bundle.fingerprint}:
@@ -479,7 +479,7 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
 
 
 def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> None:
-    """Install a bundle where its service has its keys, as its user."""
+    """Install a bundle in its service's directory, as that service's user."""
     service, name = SERVICE_OF[bundle.role], plain(str(file))
     directory = machine.path(f"{KEYS}/{service}")
     try:

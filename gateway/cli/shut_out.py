@@ -1,7 +1,7 @@
-"""A service whose session does not open: it says so once, and waits for its router, or for other certificates.
+"""A service whose session does not open: it logs the cause once, and waits for its router or new certificates.
 
-systemd would start it again each second, and each start would take seconds of the processor. Who starts a command
-by hand reads the cause where it ends, and an engine that runs it as a container has its own way to try again.
+Otherwise systemd would restart it each second, and each start takes seconds of the processor. A command that was
+started by hand ends with the cause; a container engine has its own restarts.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_se
 
 log = logging.getLogger(__name__)
 
-SERVICES: Final = frozenset({"gateway", "router", "record", "desk", "metrics"})
-"""Commands that run for as long as their machine does."""
+SERVICES: Final = frozenset(
+    {"gateway", "router", "record", "desk", "metrics"}
+)  # commands that run as long as their machine
 
-LOOK_S: Final = 1.0
-"""Period at which certificates are looked at, and the router is tried: well below the watchdog's time."""
+LOOK_S: Final = 1.0  # period of looking at certificates and router, well below the watchdog's time
 
 POLL_S: Final = 0.1
 
 
 def is_service(name: str, arguments: argparse.Namespace) -> bool:
-    """Return True if the command runs until it is stopped. ``record`` with an action asks one that does."""
+    """Return True if the command runs until it is stopped. ``record`` with an action does not."""
     return name in SERVICES and getattr(arguments, "action", None) is None
 
 
 def check_session_files(file: Path) -> None:
-    """Check the certificates and keys of a Zenoh file before a session opens; warn of one that ends soon."""
+    """Check certificates and keys of a Zenoh file before a session opens; warn if one ends soon."""
     if fault := why_shut_out(str(file)):
         raise SessionError("cannot open Zenoh", fault, str(file))
     from gateway.provisioning.key_files import check_tls_files  # noqa: PLC0415 - loaded for a Zenoh file alone
@@ -47,7 +47,7 @@ def check_session_files(file: Path) -> None:
 
 
 def why_shut_out(config: str) -> str:
-    """Return why the certificates and keys of a Zenoh file let nobody in anywhere; empty if they do not."""
+    """Return why the certificates and keys of a Zenoh file are not accepted; empty if they are."""
     if not config:
         return ""
     # Loaded for a Zenoh file alone; the settings have loaded it then, before any robot was driven.
@@ -57,20 +57,12 @@ def why_shut_out(config: str) -> str:
 
 
 def why_away(error: SessionError) -> str:
-    """Return why a session did not open, where another attempt may; empty where none would.
-
-    What is wrong with its files, or that no router answers.
-    """
+    """Return the cause of a failed session that a later attempt may cure: files or router; else empty."""
     return why_shut_out(error.config) or (str(error) if error.is_unanswered else "")
 
 
 def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], bool]) -> bool:
-    """Wait until a session opens that did not, or until the end.
-
-    Returns:
-        True if one would open now, or it has ended; false at once if no other attempt would, or if no service
-        manager started this.
-    """
+    """Wait until the session opens, or the end. False at once if waiting is useless, or without systemd."""
     manager = ServiceManager.of(os.environ)
     if manager is None or not isinstance(error, SessionError):
         return False
@@ -91,7 +83,7 @@ def has_waited(error: CommandError, zenoh: ZenohSettings, ends: Callable[[], boo
 
 
 def _again(error: SessionError, zenoh: ZenohSettings) -> SessionError | None:
-    """Try once more what nobody answered to. The service has only just begun: it has nothing to do meanwhile."""
+    """Retry a session that no router answered."""
     if why_shut_out(error.config) or not error.is_unanswered:
         return error
     try:

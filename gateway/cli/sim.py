@@ -40,27 +40,24 @@ _NS_PER_S: Final = 1_000_000_000
 
 _MAX_WAIT_NS: Final = 50_000_000  # a signal to stop is seen after this time at the latest
 _STALL_NS: Final = 500_000_000
-"""Later than this, the process was stopped rather than late: the time is left out of the chassis's life.
-
-Catching up would put seconds of feedback on the bus at once, which no chassis does.
-"""
+"""A longer delay is left out of the chassis's life: the process was stopped, and no chassis sends bursts."""
 
 _MAX_FRAMES_PER_WAIT: Final = 200  # frames taken from a CAN bus before the chassis has its turn again
-Inject = Callable[[str], str]
-"""Causes the fault that a text names; returns what is wrong with the text, or nothing."""
+Inject = Callable[
+    [str], str
+]  # causes the fault that a text names; returns what is wrong with the text, or nothing
 
 
 class SimBus(Protocol):
-    """A bus to be on. ``wait`` is the only call that may block."""
+    """A bus for the chassis. Only ``wait`` may block."""
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for something to read, at most this long."""
+        """Wait for input, at most this long."""
 
     def read(self, now_ns: int, wall_ns: int, inject: Inject) -> list[Frame]:
-        """The frames that others sent."""
+        """Return the frames from others."""
 
-    def send(self, frames: Iterable[Frame], now_ns: int) -> None:
-        """Puts frames on the bus."""
+    def send(self, frames: Iterable[Frame], now_ns: int) -> None: ...
 
 
 class SimClock:
@@ -74,7 +71,7 @@ class SimClock:
 
 
 class SimSummary(msgspec.Struct):
-    """The counts of a run."""
+    """Counts of a run."""
 
     sent: int = 0
     received: int = 0
@@ -89,7 +86,7 @@ class CanBusLink:
         self._frames: list[Frame] = []
 
     def wait(self, timeout_s: float) -> None:
-        """Waits for a frame, and takes those that are there already."""
+        """Wait for a frame, and take those that are there already."""
         frame = self._bus.receive(timeout_s)
         while frame is not None and len(self._frames) < _MAX_FRAMES_PER_WAIT:
             self._frames.append(frame)
@@ -103,7 +100,7 @@ class CanBusLink:
         return frames
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
-        """Puts frames on the bus, but for error frames: a node cannot send those at will."""
+        """Send frames; a node cannot send error frames."""
         del now_ns
         for frame in frames:
             if not frame.can_id & ERROR:
@@ -147,7 +144,7 @@ def live(
 
 
 def _time_of_life(clock: SimClock, chassis: VirtualChassis, summary: SimSummary) -> int:
-    """The monotonic time without the times during which this process was stopped."""
+    """Return the monotonic time without the times during which this process was stopped."""
     now_ns = clock.monotonic_ns() - summary.stalled_ns
     late_ns = now_ns - chassis.next_due_ns
     if late_ns <= _STALL_NS:

@@ -1,4 +1,4 @@
-"""``cruiser fault``: causes a fault in a running virtual chassis."""
+"""``cruiser fault``: cause a fault in a running virtual chassis."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _ask(connection: socket.socket, text: str) -> bytes:
 
 
 def _message(connection: socket.socket) -> bytes:
-    """One message. The peer speaks only when it is asked, so nothing follows it."""
+    """Return one message. The peer sends only replies, so nothing follows it."""
     data = b""
     while not data.endswith(b">"):
         received = connection.recv(_MAX_ANSWER_BYTES)

@@ -30,8 +30,14 @@ BUTTON: Final = "Use the button on the robot"
 BUTTONS: Final = "Use the buttons on the robots"
 NOTHING_SENT: Final = "NOT STOPPED: NOTHING WAS SENT"
 
-NAMED: Final = ("stopped", "refused", "unconfirmed", "silent", "unverified", "unfinished")
-"""The fields of a report that name robots."""
+NAMED: Final = (
+    "stopped",
+    "refused",
+    "unconfirmed",
+    "silent",
+    "unverified",
+    "unfinished",
+)  # fields of a report that name robots
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,10 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Stop. Exit code 0 if all that are there are seen to stop, 3 if one is not, 4 if all are silent.
-
-    It is 3 too where an answer cannot be verified, and where nobody knows whether those are all.
-    """
+    """Stop. Exit code 0 if all robots are seen to stop, 3 if one is not or may not be, 4 if none replies."""
     if bool(arguments.robots) is arguments.all:
         raise CommandError("name a robot, or give --all", ExitCode.USAGE)
     robots = list(dict.fromkeys(arguments.robots)) or [keys.ALL]
@@ -71,7 +74,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _tell(report: StopReport, *, as_json: bool) -> None:
-    """Print what is known of robots when it is known. JSON is printed at the end."""
+    """Print the report as soon as it is known. JSON is printed at the end."""
     if not as_json:
         sys.stdout.write("".join(f"{name}: stopped, latched until a reset\n" for name in report.stopped))
         sys.stdout.flush()
@@ -92,7 +95,7 @@ def _tell(report: StopReport, *, as_json: bool) -> None:
 
 
 def _together(reports: list[StopReport]) -> StopReport:
-    """The reports as one. Robots that two of them name are told of once."""
+    """Merge reports, and name each robot once."""
 
     def joined(field: str) -> Any:  # noqa: ANN401 - lists, and maps
         found = [getattr(one, field) for one in reports]
@@ -112,7 +115,7 @@ def _together(reports: list[StopReport]) -> StopReport:
 def _stop(
     arguments: argparse.Namespace, robot: str, settings: Settings, stopped: Callable[[], bool]
 ) -> StopReport:
-    """Stop, and say it first where nothing was sent, or nobody can look: the line with the cause is long."""
+    """Stop a robot or a pattern. Print first if nothing was sent or seen: the line with the cause is long."""
     who, button = "all robots" if robot == keys.ALL else robot, BUTTONS if "*" in robot else BUTTON
     silent: list[str] = []
 
@@ -120,7 +123,7 @@ def _stop(
         if robot == keys.ALL and not report.linked:
             sys.stderr.write(f"{who}: {NOTHING_SENT}: no link. {button}\n")
         if "*" in robot and robot != keys.ALL and not any(getattr(report, field) for field in NAMED):
-            # A pattern that nobody answers to is as silent as a name.
+            # A pattern without replies counts as silent.
             silent.append(robot)
         _tell(msgspec.structs.replace(report, silent=silent or report.silent), as_json=arguments.json)
 

@@ -1,4 +1,4 @@
-"""The commands of one verb each: ``park``, ``unpark``, ``light``, ``horn``, ``odometer``, as a table."""
+"""Commands of one verb each: ``park``, ``unpark``, ``light``, ``horn``, ``odometer``, as a table."""
 
 from __future__ import annotations
 
@@ -28,13 +28,12 @@ the number)."""
 
 
 class VerbCommand(msgspec.Struct, frozen=True):
-    """A command that asks an engaged robot for one thing.
+    """A command for one request.
 
     Attributes:
-        request: from its arguments and the number of the lease.
-        add_flags: declares those that it alone has.
-        lasts: its effect ends when the robot is disengaged, so there is something to keep.
-        keep_s: the default time to keep it; None is until Ctrl-C.
+        add_flags: declares its own flags.
+        lasts: its effect ends when the robot is disengaged, so it can be kept for a while.
+        keep_s: default time to keep it; None: until Ctrl-C.
     """
 
     EXAMPLE: str

@@ -1,4 +1,4 @@
-"""``cruiser watch``: a live view of a robot; of several it is ``cruiser list``, live."""
+"""``cruiser watch``: a live view of a robot, or ``cruiser list`` live."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _wait(sightings: Sightings, robot: str, ends: Callable[[], bool]) -> str:
-    """Wait for the robot, or, if all are asked for, for any Zenoh node. Returns what is missing, or ''."""
+    """Wait for the robot, or for any Zenoh node if all are wanted. Returns what is missing, or ''."""
     while True:
         sightings.poll()
         connected = sightings.listener.connected()
@@ -86,10 +86,7 @@ def _wait(sightings: Sightings, robot: str, ends: Callable[[], bool]) -> str:
 
 
 def show(sightings: Sightings, draw: Draw, every_s: float, ends: Callable[[], bool]) -> None:
-    """Show the reports at once and then regularly, until the end.
-
-    What a pause left out (Ctrl-Z, a machine that slept) is not made up for.
-    """
+    """Draw the reports at once and then periodically, until the end. Missed periods are skipped."""
     due_s = time.monotonic() + min(every_s, 2 * REFRESH_S)  # The first state is on its way.
     while not ends():
         sightings.poll()

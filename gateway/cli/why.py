@@ -1,4 +1,4 @@
-"""``cruiser why``: why does the robot not move?"""
+"""``cruiser why``: why a robot does not move."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Say what blocks the robot. Exit code 1 if something does, 0 if it only waits for somebody who drives it.
+    """Print what blocks the robot. Exit code 1 if something does, 0 if only a driver is missing.
 
-    A robot that is reached and not met, in signed mode, is asked all the same: its own keys may be what is wrong.
-    What it says then is not verified, and the exit code is 1.
+    In signed mode a robot that cannot be verified is asked too, because its own keys may be the cause. Its answer
+    is marked, and the exit code is 1.
     """
     try:
         with connect(arguments, settings, stopped) as robot:
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _report(robot: Robot, arguments: argparse.Namespace, unmet: Refused | None) -> int:
-    """Say what blocks a robot; of one that was not met also why, and that nothing of it is verified."""
+    """Print what blocks a robot; ``unmet`` says why it cannot be verified."""
     time.sleep(EVENTS_S)
     deadline_s = time.monotonic() + HEALTH_S - EVENTS_S
     while (sighting := robot.state()).health is None and time.monotonic() < deadline_s:

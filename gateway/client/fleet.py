@@ -1,6 +1,6 @@
-"""Robots as they say themselves: their newest samples, a word for each, and a view for people. Pure.
+"""The newest samples of robots and recorders, a word for each robot, and texts for people. Pure.
 
-A report never gives an old value as a present one: a state or a health that is too old is not in it.
+A report contains no outdated state or health.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from schemas.subjects import COMMANDS, Command
 
 BY_REQUEST: Final = {command.request: command for command in COMMANDS}
 
-THIS_SIDE: Final = "this program"  # who reads, in what is said of another version
+THIS_SIDE: Final = "this program"  # the reader, in texts about other versions
 encode_request: Final = msgspec.msgpack.Encoder().encode  # a request's MessagePack bytes
 
 
@@ -34,7 +34,7 @@ CONTRADICTION: Final = "the replies contradict each other: another gateway of th
 
 
 def contradict(replies: list[Reply | PayloadFault]) -> bool:
-    """Replies to one question differ in more than their words."""
+    """Return True if replies to one query differ in more than their texts."""
     return len({_essence(reply) for reply in replies}) > 1
 
 
@@ -45,7 +45,7 @@ def _essence(reply: Reply | PayloadFault) -> tuple[object, ...]:
 
 
 def read_reply(command: Command, received: Received) -> Reply | PayloadFault:
-    """The typed reply, or what is wrong with it."""
+    """Return the typed reply, or what is wrong with it."""
     if received.encoding != command.reply_encoding:
         fault = encoding_fault(received.encoding, command.reply_encoding, THIS_SIDE, "the robot's gateway")
         return PayloadFault(f"the reply is {fault}")
@@ -66,7 +66,7 @@ class SampleRead(msgspec.Struct, frozen=True, gc=False):
 
 
 def read_sample(received: Received) -> SampleRead | None:
-    """Read a sample; None if it is no robot's and no recorder's."""
+    """Read a sample; None if its key belongs to no robot or recorder."""
     parts = keys.parse(received.key)
     if parts is None:
         return None
@@ -82,20 +82,20 @@ def read_sample(received: Received) -> SampleRead | None:
 
 
 class NewerWords:
-    """Words and fields of a newer version that this one does not know: each counted, and logged once."""
+    """Counts words and fields of a newer version that this one does not know."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
 
     def note(self, unknown: tuple[str, ...]) -> list[str]:
-        """Count what is unknown in a sample; returns what of it is new, of a bounded number."""
+        """Count the unknown words of a sample; return the new ones, up to a bound."""
         new = [one for one in unknown if one not in self.counts][: max(0, NEWER_WORDS_MAX - len(self.counts))]
         self.counts.update(one for one in unknown if one in self.counts or one in new)
         return new
 
     @property
     def text(self) -> str:
-        """All of it in one line; empty if there is none."""
+        """All unknown words in one line; empty if there are none."""
         shown = ", ".join(sorted(self.counts)[:NEWER_WORDS_SHOWN])
         return (
             f"{THIS_SIDE} does not know what a newer version sent ({shown}): upgrade {THIS_SIDE}" if shown else ""
@@ -107,8 +107,7 @@ NEWER_WORDS_SHOWN: Final = 4
 
 
 STATE_STALE_NS: Final = 1_000_000_000  # a state, due every 50 ms, is no longer shown after 1 s
-HEALTH_STALE_NS: Final = 3_500_000_000
-"""A health, due every second, is no longer shown after 3.5 s: two may be lost."""
+HEALTH_STALE_NS: Final = 3_500_000_000  # health is due every second; two may be lost
 
 STALE_NS: Final[dict[type[Message], int]] = {
     GatewayHealth: HEALTH_STALE_NS,
@@ -116,31 +115,29 @@ STALE_NS: Final[dict[type[Message], int]] = {
     RobotState: STATE_STALE_NS,
     RecorderHealth: HEALTH_STALE_NS,
 }
-"""The messages of which the newest is stored, and the age from which it is no longer shown."""
+"""Messages whose newest is stored, and the age from which it is outdated."""
 
 M = TypeVar("M", bound=Message)
 
 
 class Bounds(msgspec.Struct, frozen=True):
-    """Limits of what is stored of a fleet. Any client can publish any number of names, and samples of any size."""
+    """Limits of what is stored. Any client can publish any number of names, and samples of any size."""
 
-    robots: int = 10_000  # robots, recorders: at most so many; those that came first stay
+    robots: int = 10_000  # robots, recorders: limits; the first ones stay
     recorders: int = 0
     name_length: int = keys.KEY_MAX_LENGTH  # a longer name counts as one too many
     sample_bytes: int = 1 << 20  # a larger sample is ignored
-    forgotten_ns: int = 60_000_000_000  # a robot that is silent for so long, and has no token, may be forgotten
+    forgotten_ns: int = 60_000_000_000  # after this silence a robot without a token may go
 
 
 class RobotStatus(msgspec.Struct, frozen=True):
     """A robot at one moment.
 
     Attributes:
-        connected: its liveliness token is there. That is no proof of health.
-        state: the last state; null if it is too old, or if there was none.
-        state_age_s: time since the last state arrived; null if there was none.
-        unreadable: why the last sample that could not be read could not; empty if all could.
-        newer: what a newer version says and this one does not know; empty if nothing.
-        safety: the last of the arbiter's states, with the same rule; null where there is no arbiter.
+        connected: its liveliness token is there, which is no proof of health.
+        state, safety, health: the newest; null if outdated or never received.
+        unreadable: why the newest unreadable sample could not be read; empty if none.
+        newer: unknown words of a newer version; empty if none.
     """
 
     robot: str
@@ -156,7 +153,7 @@ class RobotStatus(msgspec.Struct, frozen=True):
 
 
 def alarm(report: RobotStatus) -> str:
-    """Return why nothing of the robot's state can be shown; empty if it can."""
+    """Return why there is no state to show; empty if there is one."""
     if report.state is not None:
         return ""
     reasons = []
@@ -175,7 +172,6 @@ def alarm(report: RobotStatus) -> str:
 
 
 def _duration(seconds: float) -> str:
-    """A time as coarse as it is of use."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 120:
@@ -184,11 +180,11 @@ def _duration(seconds: float) -> str:
 
 
 class Source:
-    """The last samples of a robot or a recorder.
+    """The newest samples of a robot or a recorder.
 
     Attributes:
         unreadable: why the last sample could not be read; empty if it could.
-        newer: what a newer version says and this one does not know.
+        newer: unknown words of a newer version.
     """
 
     def __init__(self) -> None:
@@ -199,7 +195,7 @@ class Source:
         self._newest: dict[type[Message], tuple[Message, int]] = {}
 
     def receive(self, sample: SampleRead, now_ns: int) -> None:
-        """Store a message; one that cannot be read changes no value."""
+        """Store a message; an unreadable one changes no value."""
         message = sample.message
         self.newer.note(sample.unknown)
         if isinstance(message, PayloadFault):
@@ -209,21 +205,16 @@ class Source:
         self._newest[type(message)] = message, now_ns
 
     def fresh(self, kind: type[M], now_ns: int) -> M | None:
-        """Return the newest message of a class; None if it is too old, or there was none."""
+        """Return the newest message of a class; None if there is none, or it is outdated."""
         message, at_ns = self._newest.get(kind, (None, 0))
         return message if isinstance(message, kind) and now_ns - at_ns < STALE_NS[kind] else None
 
     def age_s(self, kind: type[Message], now_ns: int) -> float | None:
-        """Return the time since the last message of a class; None if there was none."""
         return (now_ns - self._newest[kind][1]) / 1e9 if kind in self._newest else None
 
 
 class Sources:
-    """All robots, or all recorders.
-
-    Attributes:
-        refused: how often a name was one too many.
-    """
+    """All robots, or all recorders. ``refused`` counts samples of names beyond the limit."""
 
     def __init__(self, most: int, bounds: Bounds) -> None:
         self.refused = 0
@@ -233,11 +224,11 @@ class Sources:
         self._known: dict[str, Source] = {}
 
     def __getitem__(self, name: str) -> Source:
-        """Return the source of a name; of an unknown one nothing is known."""
+        """Return the source of a name; an empty one if unknown."""
         return self._known.get(name) or Source()
 
     def find(self, name: str, now_ns: int) -> Source | None:
-        """Return the source of a name that is heard now; None if there are too many."""
+        """Return the source of a name, new or known; None beyond the limit."""
         source = self._known.get(name)
         if source is None:
             if len(self._known) >= self._most or len(name) > self._bounds.name_length:
@@ -248,11 +239,9 @@ class Sources:
         return source
 
     def names(self, now_ns: int, forgets: Callable[[str], object] = lambda _name: False) -> list[str]:
-        """Return the names of those that are there or were there, as people order them.
+        """Return the known names in natural order.
 
-        Args:
-            forgets: asked of each that may be forgotten. One that is lost stays until somebody has seen it, or
-                until another was refused.
+        ``forgets`` decides for each silent name whether it may go; all go when another name was refused.
         """
         is_full, self._refused_before = self.refused > self._refused_before, self.refused
         self._known = {
@@ -269,7 +258,7 @@ class Fleet:
     """All robots and recorders under a root.
 
     Attributes:
-        linked: this end is connected to Zenoh. Without a link no token says anything.
+        linked: connected to Zenoh. Without a link tokens say nothing.
     """
 
     def __init__(self, root: str, bounds: Bounds = Bounds()) -> None:  # noqa: B008 - it is frozen
@@ -280,7 +269,7 @@ class Fleet:
         self._sample_bytes = bounds.sample_bytes
 
     def receive(self, heard: Arrival, now_ns: int) -> SampleRead | None:
-        """Store a sample or a change of a token, and return the sample that was read. Others are ignored."""
+        """Store a sample or a token's change; return the sample that was read."""
         if isinstance(heard, Missed):
             return None  # A newer sample comes soon.
         if isinstance(heard, TokenChange):
@@ -296,7 +285,7 @@ class Fleet:
         return sample
 
     def find(self, key: str, now_ns: int) -> Source | None:
-        """Return the robot or recorder that publishes a key; None if none does, or there are too many."""
+        """Return the robot or recorder of a key; None if there is none, or too many."""
         parts = keys.parse(key)
         if parts is None:
             robot = keys.robot_of_liveliness(self._root, key)
@@ -341,15 +330,19 @@ WORDS: Final = {
     "ready": FINE,
     "telemetry": FINE,
 }
-"""The words, the gravest first, and their levels. ``telemetry``: it has no arbiter."""
+"""Words for a robot's condition, worst first, with their levels. ``telemetry``: no arbiter."""
 
 OFFLINE: Final = "offline"
 
-LABELS: Final = {"needs_reset": "stopped - needs reset", "telemetry": "telemetry only"}
-"""The words as people read them, where that is not the word itself."""
+LABELS: Final = {
+    "needs_reset": "stopped - needs reset",
+    "telemetry": "telemetry only",
+}  # words as shown, where they differ
 
-COUNTED: Final = {"needs_reset": ("needs reset", "need reset"), "telemetry": ("telemetry only", "telemetry only")}
-"""The words behind a number: of one robot, and of several."""
+COUNTED: Final = {
+    "needs_reset": ("needs reset", "need reset"),
+    "telemetry": ("telemetry only", "telemetry only"),
+}  # words after a number: singular and plural
 
 
 def word_of(report: RobotStatus) -> tuple[str, list[Reason]]:
@@ -382,7 +375,7 @@ def label_of(word: str) -> str:
 
 
 def summary(reports: Sequence[RobotStatus]) -> str:
-    """Several robots in one line: so many of each word, ``52 ready, 6 driving, 2 need reset, 1 offline``."""
+    """Return the counts of all words, such as ``52 ready, 6 driving, 2 need reset, 1 offline``."""
     words = Counter(word_of(report)[0] for report in reports)
     counted = (
         f"{words[word]} {COUNTED.get(word, (label_of(word), label_of(word)))[words[word] > 1]}"
@@ -401,7 +394,7 @@ NO_VALUE: Final = "--"  # a value that is not known: never seen, or silent
 
 
 class Fact(msgspec.Struct, frozen=True):
-    """One thing to see."""
+    """A label and a value to show."""
 
     label: str
     text: str
@@ -452,7 +445,6 @@ def health_facts(health: GatewayHealth) -> list[Fact]:
 
 
 def safety_facts(report: RobotStatus) -> list[Fact]:
-    """Return the arbiter's facts: operator, latches, blockers, last stop, limit, the commands' age."""
     safety = report.safety
     if report.state is None or safety is None:
         return []
@@ -473,7 +465,7 @@ def safety_facts(report: RobotStatus) -> list[Fact]:
 
 
 def list_view(reports: Sequence[RobotStatus]) -> list[Text]:
-    """Robots, one a line with what needs attention below it; several after a line on all of them."""
+    """Return a line per robot, with what needs attention below it; above several robots their summary."""
     lines = [Text(summary(reports))] if len(reports) > 1 else []
     for report in reports:
         lines.append(Text(_list_line(report), style=(PLAIN, BAD, LOUD)[WORDS[word_of(report)[0]]]))
@@ -482,7 +474,6 @@ def list_view(reports: Sequence[RobotStatus]) -> list[Text]:
 
 
 def _list_line(report: RobotStatus) -> str:
-    """A robot's state, speed, driver, and its gateway's health."""
     words = [report.robot]
     if report.state is None:
         words.append(_offline(report))
@@ -499,12 +490,12 @@ def _list_line(report: RobotStatus) -> str:
 
 
 def _is_news(fact: Fact) -> bool:
-    """Return True for what is wrong, and no part of what needs attention."""
+    """Return True for a bad fact that ``_attention`` does not repeat."""
     return fact.is_bad and fact.label not in {"latched", "stopped by"}
 
 
 def _attention(report: RobotStatus) -> list[str]:
-    """Everything that somebody has to see to."""
+    """Return everything that a person must deal with."""
     safety = report.safety
     latched = [] if safety is None else [reason.value.replace("_", " ") for reason in safety.latched]
     by = f" by {plain(', '.join(safety.stopped_by))}" if safety is not None and safety.stopped_by else ""
@@ -513,7 +504,7 @@ def _attention(report: RobotStatus) -> list[str]:
 
 
 def detail_view(report: RobotStatus) -> list[Text]:
-    """Return a robot in the list, then its facts; what is wrong comes first: a small window cuts the rest off."""
+    """Return the robot's line, then its facts, bad ones first: a small window cuts off the rest."""
     facts = []
     if report.state is not None:
         age = Fact("age of its state", f"{report.state_age_s or 0:.2f} s")

@@ -1,7 +1,7 @@
-"""The operator's link to a robot, and the stream of drive commands over it.
+"""The operator's link to a robot, and its stream of drive commands.
 
-The library's own thread receives what the robot publishes, keeps the stream of drive commands going, and renews
-the lease. The stream is pure: set points that age, the sequence, the echoed challenge.
+The library's thread receives what the robot publishes, sends drive commands, and renews the lease. The stream is
+pure: set points with a hold time, the sequence, the echoed challenge.
 """
 
 from __future__ import annotations
@@ -37,20 +37,17 @@ from schemas.requests import Acquire, Drive, Release, Renew, Request, Take
 PERIOD_S: Final = 0.02  # the stream's period while the robot is engaged: 50 Hz
 HOLD_S: Final = 0.5  # a set point holds for this long unless it is renewed
 HOLD_MAX_S: Final = 2.0  # no set point holds for longer: a program that hangs shall not drive on
-STALE_NS: Final = 1_000_000_000
-"""A command that echoes a challenge received longer ago than this would be refused, so it is not sent."""
-
+STALE_NS: Final = 1_000_000_000  # a command that echoes an older challenge would be refused, so it is not sent
 SILENT_NS: Final = 1_000_000_000  # a robot is out of reach after this time without its safety/state
 
 
-FOREIGN_NS: Final = 500_000_000
-"""Another sender's commands reappear within this time: between them, our own are executed."""
-
-SENT_KEPT: Final = 128  # so many commands are remembered: those of the last two seconds and a half
+FOREIGN_NS: Final = 500_000_000  # commands of another sender reappear within this time, between ours
+SENT_KEPT: Final = 128  # sent commands that are remembered, of 2.5 s
 
 
-BEGAN_ANEW: Final = "the robot's gateway was restarted and does not know the lease"
-"""It died, or was restarted: its ticks are those of another run."""
+BEGAN_ANEW: Final = (
+    "the robot's gateway was restarted and does not know the lease"  # its ticks are those of another run
+)
 
 GRANT_ENDS: Final = frozenset({Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED})
 
@@ -58,7 +55,7 @@ ROUNDING: Final = 1e-6  # m/s and deg: no target that was asked for differs by l
 
 
 class SetPoint(msgspec.Struct, frozen=True):
-    """The motion to ask for: a signed speed, and one of angle, curvature and yaw rate."""
+    """A requested motion: signed speed, and one of angle, curvature and yaw rate."""
 
     speed_mps: float = 0.0
     angle_deg: float | None = None
@@ -79,7 +76,7 @@ class SetPoint(msgspec.Struct, frozen=True):
 
 
 class DriveEnd(msgspec.Struct, frozen=True):
-    """The reason why the robot no longer accepts drive commands."""
+    """Why the robot no longer accepts drive commands."""
 
     reason: Reason
     detail: str = ""
@@ -87,15 +84,13 @@ class DriveEnd(msgspec.Struct, frozen=True):
 
 
 class DriveStream:
-    """The drive commands of one holder of a lease.
+    """The drive commands of one lease holder.
 
-    A single state ends nothing: it may be forged. The robot repeats its own states, and a forged one comes
-    between others that contradict it.
+    A single state ends nothing, because it may be forged: the robot's own states would then contradict it.
 
     Attributes:
-        is_shared: commands of somebody else were accepted under the lease. It has to be given back: so the robot
-            stops.
-        ending: why nothing is sent any more; None while all is well, or nobody engaged.
+        is_shared: another sender commands under our lease, which must be released so that the robot stops.
+        ending: why nothing is sent any more; None while all is well, or nothing was engaged.
         engaged: the robot was seen engaged since ``expect_engaged``, and still is.
     """
 
@@ -133,11 +128,11 @@ class DriveStream:
 
     @property
     def asks_for_zero(self) -> bool:
-        """The program asks for zero speed, or for nothing."""
+        """The requested speed is zero, or nothing is requested."""
         return self._set_point is None or not self._set_point.speed_mps
 
     def expect_engaged(self) -> None:
-        """Prepare for an engage request. The earlier set point is dropped."""
+        """Prepare for an engage request, and drop the earlier set point."""
         self._is_wanted = self._is_asked = True
         self.engaged = False
         self._set_point = None
@@ -147,12 +142,12 @@ class DriveStream:
             self.ending = None
 
     def give_up(self) -> None:
-        """The program itself disengages or releases: send nothing more, and call it no failure."""
+        """Send nothing more, because the program disengages or releases."""
         self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None
 
     def aim(self, set_point: SetPoint, hold_s: float, now_ns: int) -> None:
-        """Set the motion to ask for from now on."""
+        """Set the requested motion."""
         # The robot would refuse each command, and a stop by the deadman would look like a fault of the network.
         given = msgspec.structs.asdict(set_point).items()
         set_point = SetPoint(
@@ -199,7 +194,7 @@ class DriveStream:
             self._end(DriveEnd(reason, detail, lease_lost=True))
 
     def command(self, now_ns: int) -> Drive | None:
-        """The drive command to send now, or None if none is to be sent."""
+        """Return the drive command to send now, if any."""
         state = self._state
         if state is None or not self.is_wanted or now_ns - self._seen_ns > STALE_NS:
             return None
@@ -217,11 +212,11 @@ class DriveStream:
         return note
 
     def _is_of_other_run(self, state: SafetyState) -> bool:
-        """Said by another run of the gateway than the one that gave the lease."""
+        """The state is from another run of the gateway than the one that granted the lease."""
         return self._was_holder and not is_same_run(state.tick, self._held_tick)
 
     def _is_foreign(self, state: SafetyState) -> bool:
-        """The last accepted command of our lease was not ours: we never sent it, or asked for something else."""
+        """The last accepted command of our lease was not ours: never sent, or with another target."""
         accepted = state.accepted_seq
         if accepted is None or accepted > self._sequence:
             return accepted is not None
@@ -248,7 +243,7 @@ class DriveStream:
 
 
 def _finite(name: str, value: object) -> float:
-    """Return a value as a float: a number of any library, but no truth value and no text."""
+    """Return any library's number as a float; refuse booleans and text."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{name} must be a number, and is {value!r}")
     number = float(value)
@@ -258,7 +253,7 @@ def _finite(name: str, value: object) -> float:
 
 
 def _loss_of(state: SafetyState) -> Reason:
-    """Return why nobody holds the lease any more, as far as the robot's last stop says it."""
+    """Return why the lease is lost, by the robot's last stop."""
     return state.stop_reason if state.stop_reason in GRANT_ENDS else Reason.LEASE_EXPIRED
 
 
@@ -267,23 +262,24 @@ log = logging.getLogger(__name__)
 RENEWALS: Final = 4  # a lease is renewed this many times before it would expire
 EVENTS_KEPT: Final = 2000
 
-SEEN_KEPT: Final = 1024  # so many samples wait for ``look``
-AGAIN_S: Final = 0.02
-"""Pause before a request for a lease is sent again to a robot that too many ask: its door has no time for all."""
+SEEN_KEPT: Final = 1024  # samples that wait for ``look``
+AGAIN_S: Final = 0.02  # pause before a lease request is repeated to a robot that answers too many requests
 
 _S: Final = 1_000_000_000
 
 
 class Unanswered(Unreachable):
-    """Nobody answered a request."""
+    """A request without a reply."""
 
 
 class Sighting(msgspec.Struct, frozen=True):
-    """The newest that was heard of the robot.
+    """The newest state of a robot.
 
     Attributes:
-        chassis: what its chassis does; None if that was not heard lately.
-        health: how its gateway was when it last said so; None if it has not.
+        state: the arbiter's state.
+        age_s: time since it was received.
+        chassis: the chassis's state; None if it is older than a second.
+        health: the gateway's last health; None before the first.
     """
 
     state: SafetyState
@@ -293,11 +289,11 @@ class Sighting(msgspec.Struct, frozen=True):
 
 
 class RobotLink:
-    """A robot's link: what is heard of it, and what is sent to it.
+    """The samples of a robot, and the commands to it.
 
     Attributes:
-        heard: the lock of everything here, notified when something was heard.
-        unreadable: why the last sample that could not be read could not; empty if all could.
+        heard: lock of everything here, notified at each arrival.
+        unreadable: why the newest unreadable sample could not be read; empty if all could.
     """
 
     def __init__(
@@ -334,7 +330,7 @@ class RobotLink:
 
     @property
     def hears_chassis(self) -> bool:
-        """Its state was heard lately, whether it has an arbiter or not."""
+        """A chassis state arrived lately, with or without an arbiter."""
         with self.heard:
             return self._chassis is not None and time.monotonic_ns() - self._chassis_ns <= SILENT_NS
 
@@ -353,7 +349,7 @@ class RobotLink:
             return Sighting(self._state, (now_ns - self._state_ns) / _S, chassis, self._health)
 
     def look(self) -> list[Seen | Missed]:
-        """Every state that was heard since the last call: a forged one hides none of the robot's own."""
+        """Return all states since the last call, so that a forged one hides none of the robot's own."""
         with self.heard:
             seen, self._seen = self._seen, []
             return seen
@@ -365,12 +361,12 @@ class RobotLink:
             return events
 
     def wait_for(self, condition: Callable[[SafetyState], bool], timeout_s: float) -> bool:
-        """Wait until the robot's newest state is so. False if it never was in time."""
+        """Wait until the robot's newest state meets the condition; False after the timeout."""
         with self.heard:
             return self.heard.wait_for(lambda: self._state is not None and condition(self._state), timeout_s)
 
     def ask(self, request: Request, timeout_s: float) -> Reply:
-        """Ask, and wait for the reply. For a lease a robot that is asked too much is asked again."""
+        """Send a request, and wait for the reply. Lease requests are repeated while the robot is busy."""
         deadline_s = time.monotonic() + timeout_s
         if self._proof is not None and isinstance(request, Acquire | Take):
             while (left_s := deadline_s - time.monotonic()) > AGAIN_S and self.is_heard:
@@ -395,7 +391,7 @@ class RobotLink:
             return self._ask(request, timeout_s)
 
     def meet(self) -> Unmet | None:
-        """Show the robot the operator's grant. Returns why it is not met, or does not take it; None if it does."""
+        """Send the robot the operator's grant. Returns why it is not accepted or verified; None if it is."""
         if self._proof is None or self._proof.meet(self.commands) is None:
             return None
         return self._proof.unmet
@@ -423,7 +419,7 @@ class RobotLink:
         raise Unreachable(f"{self.robot}: {command.verb}: the reply has no key for the lease")
 
     def begin_stream(self, stream: DriveStream, expires_s: float) -> None:
-        """A lease is held from now on: keep it."""
+        """Renew the lease and send drive commands from now on."""
         with self.heard:
             self._stream = stream
             self._renewal = None
@@ -437,7 +433,7 @@ class RobotLink:
             self._stream = None
 
     def close(self) -> None:
-        """Leave. A stream that is going on ends."""
+        """Close the link, and end a stream."""
         self._closing.set()
         self._thread.join()
         self.commands.close()
@@ -510,14 +506,14 @@ class RobotLink:
             log.warning("%s: %s", self.robot, note)
 
     def _revoke(self, stream: DriveStream, now_ns: int) -> None:
-        """Give back a lease under which somebody else commands, again and again: the robot stops."""
+        """Release a lease under which another sender commands, until the robot stops."""
         if self._release is not None and now_ns < self._renew_ns:
             return
         self._renew_ns = now_ns + self._renew_every_ns
         self._release = self._begin(Release(lease=stream.lease)) or self._release
 
     def _renew(self, stream: DriveStream, now_ns: int) -> None:
-        """Renew the lease by a query, whose replies are looked at in later rounds: the stream never waits."""
+        """Renew the lease by a query whose replies are read in later rounds: the stream never waits."""
         is_due = now_ns >= self._renew_ns
         if self._renewal is not None:
             replies = (read_reply(BY_REQUEST[Renew], received) for received in self._renewal.poll())

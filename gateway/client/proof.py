@@ -1,9 +1,8 @@
-"""The belief in robots: samples that agree for a while, and in signed mode what they signed.
+"""When to believe a robot: samples that agree for a while, and in signed mode signatures.
 
-Anyone on its network can forge a robot's samples. A robot that is not so says otherwise many times a second.
-Whoever reads must see all of that: a sample that is lost may be the one that contradicts. Samples may be read late
-and many at once. Each has the time when it is read: what was delivered until then is read in the same batch,
-before anything is believed.
+Anyone on the network can forge samples, but the robot's own contradict them many times a second. So all samples
+must be read: a lost one may be the contradiction. They may be read late and in batches; each has the time of its
+reading, because everything delivered until then is read in the same batch, before anything is believed.
 """
 
 from __future__ import annotations
@@ -39,19 +38,14 @@ CONFIRM_SAMPLES: Final = 3  # samples in which it must say so: anyone can put a 
 
 
 class Evidence:
-    """Samples that say the same, until there are enough of them to be believed."""
+    """Collects samples that agree, until there are enough to believe. A longer pause starts over."""
 
     def __init__(self, pause_max_ns: float = inf) -> None:
-        """Begin with none.
-
-        Args:
-            pause_max_ns: samples before a longer pause prove nothing any more.
-        """
         self._pause_max_ns = pause_max_ns
         self._count = self._first_ns = self._last_ns = 0
 
     def add(self, now_ns: int) -> bool:
-        """One more, read now. Whether they are enough."""
+        """Add a sample; return True if there are enough."""
         if not self._count or now_ns - self._last_ns > self._pause_max_ns:
             self._count, self._first_ns = 0, now_ns
         self._count, self._last_ns = self._count + 1, now_ns
@@ -62,22 +56,20 @@ class Evidence:
         return self._count >= CONFIRM_SAMPLES and self._last_ns - self._first_ns >= CONFIRM_NS
 
     def clear(self) -> None:
-        """A sample says otherwise, or some may be missing."""
+        """Start over: a sample contradicts, or some may be missing."""
         self._count = 0
 
 
 log = logging.getLogger(__name__)
 
 SHOW_TIMEOUT_S: Final = 1.0  # a robot answers a statement within a few ticks of 10 ms
-ASK_AGAIN_NS: Final = 250_000_000
-"""The shortest time between two queries for a robot's identity: somebody may repeat samples of a former run."""
-
+ASK_AGAIN_NS: Final = 250_000_000  # shortest time between two queries for identities
 WITHOUT_GRANT: Final = ("viewer", "desk")  # roles of machines that have a certificate, and no key that signs
 SIGN_AGAIN_NS: Final = 250_000_000  # a stop is signed again for the same robot after this time: a put may be lost
 
 
 class _Meeting:
-    """Asks robots who they are, without waiting, each time with a question of its own."""
+    """Queries robots' identities without waiting, each time with a new question."""
 
     def __init__(self, robots: KnownRobots, root: str) -> None:
         self._robots = robots
@@ -87,7 +79,7 @@ class _Meeting:
         self._asked_ns = -ASK_AGAIN_NS
 
     def step(self, commands: CommandPort, statement: bytes, *, is_wanted: bool) -> None:
-        """Read the replies that have come, and ask again if that is wanted, and time."""
+        """Read replies, and query again if that is wanted and due."""
         if self._query is not None:
             for received in self._query.poll():
                 self._robots.meet(robot_of(received, self._root), received, self._question)
@@ -107,7 +99,7 @@ def robot_of(received: Received, root: str) -> str:
 
 
 def operator_proof(settings: Settings) -> OperatorProof | ViewerProof | None:
-    """The operator's key and grant, in signed mode; of a viewer's or a desk's machine what verifies robots."""
+    """Return the operator's key and grant in signed mode; for a viewer or a desk what verifies robots."""
     if settings.authority.mode != "signed":
         return None
     directory = directory_of(settings.authority)
@@ -126,7 +118,7 @@ class LinkProof:
     """Signs commands to one robot, and verifies its replies and samples.
 
     Attributes:
-        challenge: the newest one that the robot published; empty before the first.
+        challenge: the robot's newest; empty before the first.
     """
 
     def __init__(self, proof: OperatorProof | ViewerProof, robot: str, root: str) -> None:
@@ -137,7 +129,7 @@ class LinkProof:
         self._meeting = _Meeting(proof, root)
 
     def meet(self, commands: CommandPort) -> Objection | None:
-        """Show the robot the operator's grant. Returns why it does not take it, or is no robot of the fleet."""
+        """Send the robot the operator's grant. Returns why it is refused or the robot is not verified."""
         refusal: Objection | None = Objection(
             Reason.PROOF_MISSING, "it does not answer on @auth: is it in signed mode?"
         )
@@ -156,23 +148,23 @@ class LinkProof:
         return self._proof.doubt(robot)
 
     def meet_again(self, commands: CommandPort) -> None:
-        """If samples of another run of the robot arrive, ask which run is the present one, without waiting."""
+        """If samples of another run arrive, query which run is current, without waiting."""
         self._meeting.step(commands, self._proof.statement, is_wanted=self._proof.is_to_meet_again(self._robot))
 
     def with_key(self, request: Request) -> Request:
-        """The request, with a new public key if it is for a lease."""
+        """Add a new public key to a request for a lease."""
         if not isinstance(request, Acquire | Take):
             return request
         self._lease_key, public = new_lease_key()
         return msgspec.structs.replace(request, public_key=public)
 
     def begin_lease(self, reply: LeaseReply, attachment: bytes) -> bool:
-        """Agree with the robot on the key of the lease that it gave; False if its reply has no key."""
+        """Agree with the robot on the lease's key; False if its reply has none."""
         private, self._lease_key = self._lease_key, None
         return private is None or self._proof.begin_lease(self._robot, private, reply, attachment)
 
     def attach(self, verb: str, payload: bytes) -> bytes:
-        """The attachment of a command. Before the first challenge it proves nothing: a stop needs no proof."""
+        """Return a command's attachment. Before the first challenge it proves nothing: a stop needs no proof."""
         if verb == DRIVE_VERB:
             return self._proof.drive(payload)
         if not self.challenge:
@@ -187,14 +179,14 @@ class LinkProof:
 
 
 class StopProof:
-    """Believes of a stop only what the robots signed, and signed for it.
+    """Verifies the robots' answers to a stop, and signs the stop for them.
 
-    The stop itself goes out without a proof, at once. Who has a key and a grant signs it besides, as soon as a
-    robot says a challenge: so the record says who it was. Nothing here raises, or is waited for.
+    The stop itself goes out unsigned, at once. With a key and a grant it is signed too, as soon as a robot
+    publishes a challenge, so that the record names the operator. Nothing here raises or waits.
 
     Attributes:
         name: of the operator, by the grant; empty without one.
-        may_stop_all: the certificate lets its holder stop all robots at once; a viewer's stops one by its name.
+        may_stop_all: the certificate may stop all robots at once; a viewer's stops one by its name.
     """
 
     def __init__(
@@ -205,12 +197,7 @@ class StopProof:
         *,
         may_stop_all: bool = True,
     ) -> None:
-        """With no robot met.
-
-        Args:
-            robots: the trusted robots; the signer itself, if there is one. Or why no robot can be verified.
-            may_stop_all: the certificate lets its holder stop all robots at once.
-        """
+        """Begin without verified robots. ``robots`` is the signer, if any; or why nothing can be verified."""
         self.name = "" if signer is None else signer.name
         self.may_stop_all = may_stop_all
         self._fault = robots if isinstance(robots, Unmet) else None
@@ -221,7 +208,7 @@ class StopProof:
         self._signed_ns: dict[str, int] = {}
 
     def meet(self, commands: CommandPort) -> None:
-        """Ask the robots who they are, again and again, and show them the grant, if there is one."""
+        """Query the robots' identities repeatedly, with the grant if there is one."""
         if self._meeting is not None:
             self._meeting.step(commands, b"" if self._signer is None else self._signer.statement, is_wanted=True)
 
@@ -229,7 +216,7 @@ class StopProof:
         return self._fault or (SILENT if self._robots is None else self._robots.doubt(robot))
 
     def sign(self, commands: CommandPort, robot: str, challenge: bytes) -> None:
-        """Send a robot a signed stop, now and then: it published this challenge."""
+        """Send a robot a signed stop over its challenge, from time to time."""
         now_ns = time.monotonic_ns()
         if self._signer is None or now_ns - self._signed_ns.get(robot, -SIGN_AGAIN_NS) < SIGN_AGAIN_NS:
             return
@@ -238,11 +225,11 @@ class StopProof:
         commands.put_signed(keys.command(self._root, robot, self.name, STOP_VERB), STOP_VERB, b"", attachment)
 
     def attach(self, _verb: str, _payload: bytes) -> bytes:
-        """Random bytes, which prove nothing: a stop is served from anyone, and its reply answers no other one."""
+        """Return random bytes: a stop needs no proof, and its reply must answer this stop."""
         return new_question()
 
     def is_reply(self, received: Received, request: bytes) -> bool:
-        """Return True if it is a reply of the robot whose key it is under."""
+        """Return True for a reply of the robot in whose key it was sent."""
         robots = self._robots
         return robots is not None and robots.is_reply(robot_of(received, self._root), received, request)
 
@@ -252,10 +239,10 @@ class StopProof:
 
 
 def stop_proof(settings: Settings) -> StopProof | None:
-    """Return the keys that sign a stop and verify its replies in signed mode; None in open mode.
+    """Return what signs a stop and verifies its replies in signed mode; None in open mode.
 
-    A stop is sent whatever the files hold. Without the authority's keys its replies are not verified; without an
-    operator's key or grant it is not signed.
+    The stop is sent in any case: without the authority's keys its replies are not verified, without an operator's
+    key or grant it is not signed.
     """
     if settings.authority.mode != "signed":
         return None
@@ -274,7 +261,7 @@ def stop_proof(settings: Settings) -> StopProof | None:
 
 
 def _whose(directory: Path) -> str:
-    """Return the role of who was provisioned in a directory, for the cures; an operator comes first."""
+    """Return the role that was provisioned in a directory, for cures; an operator comes first."""
     return next(
         (who for who in ("operator", *WITHOUT_GRANT) if (directory / TLS_KEY_FILE.format(who=who)).exists()),
         "operator",

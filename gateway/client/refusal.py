@@ -1,6 +1,6 @@
-"""Refusals and stops as exceptions, which carry the reason and its cure; and both in words. Pure.
+"""Refusals and stops as exceptions with reason and cure, and as text. Pure.
 
-Each exception is a ``CommandError`` too: a command that meets one ends with its line and its exit code.
+Each exception is a ``CommandError``, so a command ends with its text and its exit code.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import COMMANDING, Reply, SafetyEvent, SafetyState, StopPhase
 from schemas.reasons import TEXTS, Reason, Text, cure_of, of_a_robot
 
-NEWER_S: Final = 1.0  # an event may be so much newer than the state that was seen last
-LOOK: Final = "Look at the robot, and use its button if it moves"
-"""The sentence for whoever commanded a robot of which nobody knows whether it stands."""
+NEWER_S: Final = 1.0  # an event may be newer than the last state by this
+LOOK: Final = (
+    "Look at the robot, and use its button if it moves"  # advice after a command to a robot of unknown motion
+)
 
 
 def text_of(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> Text:
@@ -30,7 +31,7 @@ def reason_line(reason: Reason, robot: str, beside: Collection[Reason] = ()) -> 
 
 
 def state_line(state: SafetyState) -> str:
-    """Return the arbiter's state, and its operator."""
+    """Return the arbiter's state and its operator as text."""
     words = [state.state.value]
     if state.stop_phase is not StopPhase.IDLE:
         words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
@@ -43,12 +44,12 @@ def state_line(state: SafetyState) -> str:
 
 
 def last_stop(state: SafetyState) -> str:
-    """Return the reason of a robot's last stop; empty if it is commanded again, or never was stopped."""
+    """Return the reason of the last stop; empty if the robot is commanded again, or was never stopped."""
     return "" if state.state in COMMANDING or state.stop_reason is Reason.NONE else _stop(state)
 
 
 def is_idle(blocked_by: Iterable[Reason]) -> bool:
-    """Nothing is wrong: the robot only waits for somebody who drives it."""
+    """Return True if nothing is wrong, and only a driver is missing."""
     return {Reason.NO_LEASE, Reason.NOT_ENGAGED}.issuperset(blocked_by)
 
 
@@ -58,7 +59,7 @@ def _stop(state: SafetyState) -> str:
 
 
 def link_line(state: SafetyState) -> str:
-    """Return the age of the commands that drive the robot, and its cost; empty while it executes none."""
+    """Return latency of the drive commands and its cost as text; empty while none is executed."""
     if state.link_age_s is None or state.travel_speed_limit_mps is None:
         return ""
     words = [f"command latency {_ms(state.link_age_s)}"]
@@ -82,11 +83,7 @@ def holder_line(state: SafetyState) -> str:
 
 
 def event_line(event: SafetyEvent, now_ns: int) -> str:
-    """An event and how long ago it was; or, where the robot's clock was set back since, its time.
-
-    Args:
-        now_ns: by the robot's clock, which need not be this machine's.
-    """
+    """Return an event with its age; with its time of day if the robot's clock (``now_ns``) was set back since."""
     ago_s = (now_ns - event.time_ns) / 1e9
     when = f"{max(0.0, ago_s):.1f} s ago"
     if ago_s < -NEWER_S:
@@ -99,7 +96,9 @@ class RobotError(CommandError):
     """The robot does not do what was requested.
 
     Attributes:
-        cure: the way to make it succeed.
+        reason: why, as an enumeration.
+        detail: why, as text.
+        cure: how to make it succeed.
     """
 
     code = ExitCode.FAILURE
@@ -119,15 +118,15 @@ class Refused(RobotError):  # noqa: N818 - an outcome's name, as programs read i
 
 
 class Stopped(RobotError):  # noqa: N818 - an outcome's name, as programs read it
-    """The robot was stopped, or gave up its chassis: it rejects drive commands until it is engaged again."""
+    """The robot was stopped, and rejects drive commands until it is engaged again."""
 
 
 class LeaseLost(RobotError):  # noqa: N818 - an outcome's name, as programs read it
-    """The lease is no longer ours."""
+    """The lease was taken by another operator, or has expired."""
 
 
 class Unreachable(CommandError):  # noqa: N818 - an outcome's name, as programs read it
-    """The robot does not answer, or what it says cannot be read."""
+    """The robot does not answer, or its answer cannot be read."""
 
     def __init__(self, message: str) -> None:
         super().__init__(plain(message), ExitCode.UNREACHABLE)

@@ -1,9 +1,9 @@
-"""The remote stop from the operator's side, and the roll of the robots that it can reach.
+"""The remote stop from the operator's side, and the list of connected robots.
 
-The stop is said again and again until it is known to have been heard. It needs no lease, no answer and no state of
-the robot; it goes out as a put and as a query. Anyone can answer the query in the robot's place: so a stop is
-believed when all replies agree, and the robot is seen to stand, latched. In signed mode only what the robots
-signed counts, and a signed stop follows the one without a proof.
+The stop is repeated until a reply shows that it arrived. It needs no lease, no reply and no state of the robot,
+and goes out as a put and as a query. Anyone can reply in the robot's place. So a stop is believed only if all
+replies agree, and the robot is seen at standstill with the stop latched. In signed mode only signed replies and
+samples count, and a signed stop follows the unsigned one.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from schemas.reasons import Reason
 from schemas.settings import STANDSTILL_MPS, Settings
 from schemas.subjects import BY_VERB, STOP_VERB
 
-ROLL_REPEAT_S: Final = 0.5  # the period in which it is asked who is connected
-TIMEOUT_S: Final = 5.0  # so long an answer to that is waited for, before it is asked anew
+ROLL_REPEAT_S: Final = 0.5  # period of queries for connected robots
+TIMEOUT_S: Final = 5.0  # their timeout
 SETTLE_S: Final = 1.0  # the time after which no other robot is expected: nodes find each other by gossip in less
 NAMES_SHOWN: Final = 10
 
@@ -42,7 +42,7 @@ ROLL_POLL_S: Final = 0.02
 
 
 class RollCall:
-    """Asks again and again who is connected. On a busy network robots answer later than they follow each other."""
+    """Lists connected robots repeatedly: on a busy network some replies are late."""
 
     def __init__(self, port: CommandPort | RobotListener, root: str) -> None:
         self.robots: set[str] = set()
@@ -54,10 +54,10 @@ class RollCall:
         self._asked_s = self._changed_s = float("-inf")
 
     def step(self, now_s: float) -> set[str]:
-        """Ask when it is time to. Return the robots that answered since the last step."""
+        """Query when it is due. Return the robots that replied since the last step."""
         links = self._port.links()
         if links != self._links:
-            # A link that is lost ends the query too, and one that is new was not asked.
+            # A lost link ends the query, and a new link was not queried.
             self._links, self._query, self.is_answered, self._changed_s = links, None, False, now_s
         if self._query is not None and self._query.is_over:
             self.is_answered = not self._query.timed_out
@@ -70,18 +70,18 @@ class RollCall:
         names = {keys.robot_of_liveliness(self._root, received.key) for received in self._query.poll()}
         answered = {name for name in names if name is not None}
         if not answered <= self.robots:
-            # A peer answers from what it was told so far: while it is told of others, that is not all.
+            # A peer knows only part of the tokens while new ones arrive.
             self._changed_s = now_s
         self.robots |= answered
         return answered
 
     def is_complete(self, now_s: float) -> bool:
-        """Report whether everybody has answered, and no other robot has appeared for a while."""
+        """Return True if all nodes have replied, and no other robot has appeared for a while."""
         return self.is_answered and now_s - self._changed_s >= SETTLE_S
 
 
 def who_is_there(settings: Settings, robot: str) -> str:
-    """Return the end of a message that this robot was not found: those that are, or '' if it is one of them."""
+    """Return the other connected robots, as the end of an error; '' if this robot is connected."""
     deadline_s = time.monotonic() + SETTLE_S
     with CommandPort.open(settings, keys.ALL, login_operator()) as port:
         roll = RollCall(port, settings.robot.root)
@@ -98,16 +98,17 @@ def who_is_there(settings: Settings, robot: str) -> str:
 STOP: Final = BY_VERB[STOP_VERB]
 
 REPEAT_S: Final = 0.05  # the put is repeated this often
-AT_LEAST_S: Final = 0.3  # it is repeated for this long, whoever has answered
+AT_LEAST_S: Final = 0.3  # shortest time of repeating, even after replies
 ASK_S: Final = 0.25  # a query without any answer is put again after this time
 POLL_S: Final = 0.005
 
-REST_S: Final = 8.0
-"""From full speed to standing by takes less: the ramp, a second of holding, half a second of disabling."""
+REST_S: Final = (
+    8.0  # from full speed to standby takes less: the ramp, a second of holding, half a second of disabling
+)
 
 
 class NotSentError(CommandError):
-    """No session opened, so nothing was sent, and no robot is stopped."""
+    """No session opened, so no stop was sent."""
 
     def __init__(self, cause: CommandError) -> None:
         super().__init__(f"no stop was sent: {cause}", cause.code)
@@ -118,15 +119,15 @@ class StopReport(msgspec.Struct, frozen=True):
     """The outcome of a remote stop.
 
     Attributes:
-        stopped: the robots that answered that they stop, and are seen to stand, latched.
-        refused: what those said that cannot stop.
-        unconfirmed: why the others that answered are not known to have stopped.
-        silent: robots that are connected and did not answer.
+        stopped: robots that replied that they stop, and are seen to stand with the stop latched.
+        refused: robots that cannot stop, and why.
+        unconfirmed: other robots that replied, and why they may not have stopped.
+        silent: connected robots without a reply.
         linked: this end was connected to a Zenoh node.
-        counted: it is known which robots are connected. Where it is not, there may be more than those named here.
-        unverified: why the answers of further robots cannot be verified.
-        reached_all: false where a stop of all at once was sent with a certificate that stops one robot alone.
-        unfinished: robots that stopped, and whose stop sequence was waited for and not seen to end.
+        counted: all connected robots are known; else there may be more.
+        unverified: further robots, and why their replies cannot be verified.
+        reached_all: false if all were to be stopped with a certificate that can stop only one robot at a time.
+        unfinished: stopped robots whose stop sequence did not end within the wait.
     """
 
     stopped: list[str]
@@ -141,15 +142,14 @@ class StopReport(msgspec.Struct, frozen=True):
 
 
 Seen = tuple[int, str, SafetyState | RobotState | PayloadFault]
-"""When a sample was read, monotonic, in ns; the robot's name; its message, or why that cannot be read."""
+"""Time of reading (monotonic, ns), robot, and message or why it cannot be read."""
 
 
 Look = Callable[[], Iterable[Seen | Missed]]
-"""All that is believed of what robots have published since the last call, and where some of it may be missing."""
+"""All believed samples since the last call, and where some may be missing."""
 
 Doubt = Callable[[str], Unmet]  # the reason for which an answer of a robot cannot be verified
-Told = Callable[[StopReport], None]
-"""Hears the report as soon as it is known, before the end of the stop sequences is waited for."""
+Told = Callable[[StopReport], None]  # gets the report before the end of the stop sequences
 
 
 def stop_from_here(
@@ -162,13 +162,13 @@ def stop_from_here(
     wait: bool = False,
     told: Told = lambda _report: None,
 ) -> StopReport:
-    """Stop a robot, several by a pattern, or all with ``keys.ALL``, over sessions of our own.
+    """Stop a robot, several by a pattern, or all with ``keys.ALL``, over new sessions.
 
     Args:
-        settings: where the robots are, and in signed mode where keys and grant are.
-        operator: who stops; if empty, the name of the grant, or else the login name.
-        stopped: gives up when it turns true.
+        operator: if empty, the name of the grant, or else the login name.
+        stopped: gives up when it returns True.
         wait: for the end of the stop sequences too.
+        told: gets the report before that wait.
     """
     root = settings.robot.root
     with ExitStack() as stack:
@@ -231,11 +231,9 @@ def stop(
     stopped: Callable[[], bool] = lambda: False,
     doubt: Doubt = _unsigned,
 ) -> StopReport:
-    """Stop a robot, or several; returns once all stand or cannot be stopped, or after the timeout.
+    """Stop a robot or several. Returns when all stand or cannot be stopped, or after the timeout.
 
-    Args:
-        stopped: gives up when it turns true.
-        doubt: why an answer that the port does not accept cannot be verified.
+    ``stopped`` gives up when it returns True; ``doubt`` says why a rejected reply cannot be verified.
     """
     return _settle(_Stopping(port, root, robot, look, doubt), timeout_s, stopped)
 
@@ -256,10 +254,10 @@ _UNCONFIRMED: Final = "its speed reads 0, not confirmed by feedback"
 
 
 class _Sight:
-    """The evidence that a robot is latched, and that it stands.
+    """Evidence that a robot is latched and at standstill.
 
     Attributes:
-        rests: no stop sequence is under way, by its newest state.
+        rests: its newest state shows no stop sequence.
     """
 
     def __init__(self) -> None:
@@ -291,7 +289,7 @@ class _Sight:
 
     @property
     def doubt(self) -> str:
-        """The reason for which it is not known to have stopped; empty if it is."""
+        """Why the robot may not have stopped; empty if it has."""
         if self._unreadable and not (self._latch.is_enough and self._stand.is_enough):
             return f"its state cannot be read: {self._unreadable}"
         if not self._latch.is_enough:
@@ -306,7 +304,7 @@ class _Sight:
 
 
 class _Stopping:
-    """A remote stop that is under way: all that was answered, seen, and verified in signed mode."""
+    """A remote stop in progress: replies, samples, and in signed mode their proofs."""
 
     def __init__(self, port: CommandPort, root: str, robot: str, look: Look, doubt: Doubt = _unsigned) -> None:
         self._port = port
@@ -330,12 +328,12 @@ class _Stopping:
 
     @property
     def all_answered(self) -> bool:
-        """It is known who is there, all of them have answered, and somebody has."""
+        """All robots are known and have replied, and there is at least one."""
         return bool(self._answers) and self._is_counted and self._expected <= self._answers.keys()
 
     @property
     def all_settled(self) -> bool:
-        """Nothing more is to be learned: each stands, cannot be stopped, or is answered for by two."""
+        """Nothing more can be learned: each robot has stopped, cannot stop, or has contradictory replies."""
         return self.all_answered and all(
             name in self._contradicted or not _agrees(answer) or not self._sights[name].doubt
             for name, answer in self._answers.items()
@@ -370,7 +368,7 @@ class _Stopping:
                 self._sights[name].see(message, now_ns)
 
     def unfinished(self, robots: Iterable[str]) -> list[str]:
-        """Return those of these robots whose stop sequence is under way."""
+        """Return those robots whose stop sequence has not ended."""
         return [name for name in robots if not self._sights[name].rests]
 
     def report(self) -> StopReport:
@@ -394,7 +392,7 @@ class _Stopping:
         )
 
     def _hear(self, robot: str, received: Received, question: int) -> None:
-        """A robot, or somebody in its place, replied to the question of this number."""
+        """Store a reply to the question of this number."""
         reply = read_reply(STOP, received)
         replies = self._replies[robot, question]
         replies.append(reply)

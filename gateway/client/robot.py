@@ -6,10 +6,10 @@
         for _ in range(50):
             lease.drive(0.3, angle_deg=5.0)      # holds for 0.5 s unless it is renewed
             time.sleep(0.1)
-        lease.disengage()                        # returns once the robot stands by
+        lease.disengage()                        # returns when the robot is on standby
 
-A thread of the library receives the robot's states and keeps the stream of drive commands going. Each failure is
-an exception that carries the reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
+A thread of the library receives the robot's states and sends the drive commands. Each failure is an exception with
+its reason: ``Refused``, ``Stopped``, ``LeaseLost``, ``Unreachable``.
 """
 
 from __future__ import annotations
@@ -58,15 +58,15 @@ ANSWER_TIMEOUT_S: Final = 3.0  # the slowest verb, clear_odometer, has its answe
 ENGAGED_SEEN_S: Final = 1.0  # the time from the reply to engage until safety/state must agree
 ZERO_SEEN_S: Final = 1.0  # the time from a drive command of zero speed until safety/state must agree
 RESET_SEEN_S: Final = 1.0  # the same from the reply to reset
-RESET_AGAIN_S: Final = RESET_MIN_NS / 1e9 + 0.3  # for so long a reset that came too soon is asked for again
+RESET_AGAIN_S: Final = RESET_MIN_NS / 1e9 + 0.3  # time in which an early reset is repeated
 AGAIN_S: Final = 0.05  # pause before that
 
 
 class Robot:
-    """A robot that answers. Make it with ``connect``, and close it, or use it as a context manager.
+    """A connected robot. Make it with ``connect``, and close it, or use it as a context manager.
 
     Attributes:
-        name: of the robot.
+        name: the robot's name.
         operator: the name under which it is commanded.
     """
 
@@ -95,17 +95,17 @@ class Robot:
         """Connect to a robot, and wait until its state arrives and it accepts requests.
 
         Args:
-            name: of the robot.
-            operator: the commander's name; the login name if not given.
+            name: the robot's name.
+            operator: the operator's name; by default the login name.
             settings: its place on Zenoh (``zenoh``, ``robot.root``).
             timeout_s: the longest wait.
-            stopped: gives up when it turns true.
+            stopped: gives up when it returns True.
 
         Raises:
-            Unreachable: no state arrives, or it does not accept commands.
-            Refused: in signed mode it does not take the operator's grant, or is not believed: its own grant is
-                over, of another authority, or missing.
-            CommandError: a name or an endpoint is not of its form, or a file is missing or wrong.
+            Unreachable: no state arrives, or the robot accepts no commands.
+            Refused: in signed mode the robot does not accept the operator's grant, or its own grant is expired,
+                missing or from another authority.
+            CommandError: a name or an endpoint is malformed, or a file is missing or wrong.
         """
         settings = settings or Settings()
         proof = operator_proof(settings)
@@ -145,24 +145,24 @@ class Robot:
         return self._link.sighting()
 
     def events(self) -> list[SafetyEvent]:
-        """Return the events received since the last call; at first some earlier ones too."""
+        """Return the events since the last call; the first call includes some earlier ones."""
         return self._link.take_events()
 
     def wait_for(self, condition: Callable[[SafetyState], bool], timeout_s: float) -> bool:
-        """Wait until the robot's newest state is so. False if it never was in time."""
+        """Wait until the robot's newest state meets the condition. Returns False after the timeout."""
         return self._link.wait_for(condition, timeout_s)
 
     def stop(self, timeout_s: float = CONNECT_TIMEOUT_S, *, wait: bool = True) -> None:
-        """The remote stop: at once, latched, whoever holds the lease. It is no emergency stop.
+        """Stop the robot remotely: at once, latched, without a lease. This is not an emergency stop.
 
         Args:
-            timeout_s: the longest wait until the robot is seen to stand.
-            wait: return once its stop sequence has ended too, and it can be reset; else once it is seen to stand.
+            timeout_s: the longest wait for standstill.
+            wait: return when the stop sequence has ended and a reset is possible; else at standstill.
 
         Raises:
-            Unreachable: nobody answered. It was sent all the same, again and again.
-            Refused: the stop is latched but cannot be carried out, or the robot is not seen to stop, or what it
-                answers cannot be verified; the text says what it does.
+            Unreachable: no reply came; the stop was sent repeatedly.
+            Refused: the stop is latched but cannot be carried out, standstill is not confirmed, or the reply
+                cannot be verified. The text says what the robot does.
         """
         self._link.look()  # What was seen before the stop proves nothing.
         report = remote_stop.stop(
@@ -183,36 +183,36 @@ class Robot:
             self.wait_for_rest()
 
     def reset(self, lease: int, of: str = "", *, wait: bool = True) -> str:
-        """Clear what is latched, by the number of a lease of the same operator: see ``Lease.reset``."""
+        """Clear the latches with the number of a lease of the same operator: see ``Lease.reset``."""
         return _reset(self._link, lease, of, wait=wait)
 
     def wait_for_rest(self) -> None:
-        """Wait until the robot stands by.
+        """Wait until the robot is on standby.
 
         Raises:
-            RobotError: it is not seen to.
+            RobotError: it is not within 8 s.
         """
         _wait_for_rest(self._link)
 
     def lease(self, role: Role = Role.OPERATOR) -> Lease:
-        """The lease, if nobody holds it: acquired where a ``with`` begins, given back where it ends."""
+        """Return the lease, if it is free: acquired when a ``with`` begins, released when it ends."""
         return Lease(self._link, self.operator, Acquire(role=role))
 
     def take(self, role: Role = Role.OPERATOR, *, override: bool = False) -> Lease:
-        """The lease, from whoever holds it in no higher role. Override takes it although the robot moves."""
+        """Return the lease, taken from a holder of no higher role. ``override`` takes it from a moving robot."""
         return Lease(self._link, self.operator, Take(role=role, override=override))
 
     def ask(self, request: Request, timeout_s: float = ANSWER_TIMEOUT_S) -> Reply:
-        """Send a request, and wait until the robot has done it or gives the reason why not.
+        """Send a request, and wait until the robot has carried it out or refuses it.
 
         Raises:
-            Refused: it says why not.
-            Unreachable: it does not answer. It may have received the request all the same.
+            Refused: with the reason.
+            Unreachable: no reply came; the request may have arrived.
         """
         return self._link.ask(request, timeout_s)
 
     def close(self) -> None:
-        """Leave. A stream that is going on ends, and with it the robot's motion."""
+        """Disconnect. This ends the stream of drive commands, so the robot stops."""
         self._link.close()
 
     def __enter__(self) -> Self:
@@ -225,10 +225,10 @@ class Robot:
 
 
 class Lease:
-    """The right to command a robot. In force between the beginning and the end of a ``with``.
+    """The right to command a robot, in force during a ``with``.
 
-    While the robot is engaged the library sends a drive command every 20 ms: the set point of ``drive`` while it
-    holds, else zero speed. Else it renews the lease.
+    While the robot is engaged, the library sends a drive command every 20 ms: the set point of ``drive`` during
+    its hold time, else zero speed. Otherwise it renews the lease.
     """
 
     def __init__(self, link: RobotLink, operator: str, request: Acquire | Take) -> None:
@@ -263,7 +263,7 @@ class Lease:
         try:
             self._ask(Release(lease=stream.lease))
         except CommandError as failure:
-            # The robot ends it by itself when it expires, and an error of the body must not be hidden.
+            # It expires on the robot, and an error of the body must not be hidden.
             log.warning("the lease was not released; it will expire: %s", failure)
 
     @property
@@ -277,11 +277,11 @@ class Lease:
         return self._stream is not None and self._stream.engaged
 
     def check(self) -> None:
-        """Raise if anything has ended the drive.
+        """Raise if the drive has ended.
 
         Raises:
             Stopped: the robot was engaged and no longer is.
-            LeaseLost: somebody has taken the lease, or it expired.
+            LeaseLost: the lease was taken, or has expired.
             Unreachable: no state arrives any more.
         """
         ending = self._in_force().ending
@@ -293,16 +293,16 @@ class Lease:
     def engage(
         self, speed_limit_mps: float | None = None, deadman_s: float | None = None, *, wait: bool = True
     ) -> None:
-        """Take command of the standing chassis. Returns once it reads auto.
+        """Take command of the standing chassis. Returns when it reports mode auto.
 
         Args:
             speed_limit_mps: a lower limit than the configured one.
-            deadman_s: a longer deadman than the configured one, up to 1 s, for a link that stalls. The robot
-                drives the slower for it: see ``travel_speed_limit_mps`` in its state.
-            wait: let a stop sequence that is under way end first; else the robot refuses meanwhile.
+            deadman_s: a longer command timeout than the configured one, up to 1 s, for a link that stalls. It
+                lowers the speed limit: see ``travel_speed_limit_mps`` in the state.
+            wait: wait for the end of a stop sequence; else the robot refuses during one.
 
         Raises:
-            Refused, LeaseLost, Stopped, Unreachable: it does not.
+            Refused, LeaseLost, Stopped, Unreachable: the robot is not engaged.
         """
         stream = self._in_force()
         if stream.engaged:
@@ -332,13 +332,13 @@ class Lease:
         yaw_rate_radps: float | None = None,
         hold_s: float = HOLD_S,
     ) -> None:
-        """Set the stream's set point for ``hold_s``; straight on if no angle, curvature or yaw rate is given.
+        """Set the stream's set point for ``hold_s``; straight ahead without angle, curvature or yaw rate.
 
         Raises:
-            TypeError: a value is no number.
-            ValueError: more than one of angle, curvature and yaw rate is given, or a value cannot be.
+            TypeError: a value is not a number.
+            ValueError: more than one of angle, curvature and yaw rate is given, or a value is out of range.
             Refused: the robot was never engaged.
-            Stopped, LeaseLost, Unreachable: it does not accept drive commands any more.
+            Stopped, LeaseLost, Unreachable: it accepts no more drive commands.
         """
         if angle_deg is None and curvature_1pm is None and yaw_rate_radps is None:
             angle_deg = 0.0
@@ -351,10 +351,10 @@ class Lease:
             stream.aim(set_point, hold_s, time.monotonic_ns())
 
     def disengage(self, *, wait: bool = True) -> None:
-        """Stop in a controlled way and give up command of the chassis; nothing is latched.
+        """Stop in a controlled way and give up command of the chassis, without a latch.
 
         Args:
-            wait: return once the robot stands by; else once the stop has begun.
+            wait: return when the robot is on standby; else when the stop has begun.
 
         Raises:
             RobotError: it is not seen to come to rest.
@@ -367,31 +367,31 @@ class Lease:
             _wait_for_rest(self._link)
 
     def reset(self, of: str = "", *, wait: bool = True) -> str:
-        """Clear what is latched. Returns what that was, in words.
+        """Clear the latches. Returns their names.
 
         Args:
-            of: whose remote stop is cleared, where it was somebody else's: see ``stopped_by`` in its state.
-            wait: let a stop sequence that is under way end first, and what was latched a moment ago become old
-                enough for a reset; else the robot refuses meanwhile. What is latched later is not reset.
+            of: the operator whose remote stop is cleared, if it is another one: see ``stopped_by`` in the state.
+            wait: wait for the end of a stop sequence, and until fresh latches are old enough; else the robot
+                refuses. Later latches are not cleared.
 
         Raises:
-            Refused: the cause is not gone, or somebody else has stopped the robot (``stopped_by_other``).
+            Refused: the cause persists, or another operator has stopped the robot (``stopped_by_other``).
         """
         return _reset(self._link, self.number, of, wait=wait)
 
     def park(self) -> None:
-        """Apply the parking brake of the engaged robot, which may still be slowing down to zero."""
+        """Apply the parking brake of the engaged robot; it may still be slowing down."""
         if self._in_force().asks_for_zero:
             # The stream and a question go separate ways: the zero of a moment ago has to be there first.
             self._link.wait_for(lambda state: not state.target_speed_mps, ZERO_SEEN_S)
         self._ask(Park(lease=self.number))
 
     def unpark(self) -> None:
-        """Allow drive commands to release it."""
+        """Allow drive commands to release the parking brake."""
         self._ask(Unpark(lease=self.number))
 
     def light(self, *, headlamp: bool = False, left: bool = False, right: bool = False) -> None:
-        """Set headlamp and indicators, while the robot is engaged."""
+        """Set headlamp and indicators of the engaged robot."""
         self._ask(Light(lease=self.number, headlamp=headlamp, left=left, right=right))
 
     def horn(self, *, on: bool) -> None:
@@ -399,11 +399,11 @@ class Lease:
         self._ask(Horn(lease=self.number, on=on))
 
     def clear_odometer(self) -> None:
-        """Set the total mileage to zero. Returns once it reads so."""
+        """Set the total mileage to zero. Returns when it reads zero."""
         self._ask(ClearOdometer(lease=self.number))
 
     def reset_odometry(self) -> None:
-        """Set the pose of ``chassis/odometry`` to zero here, at rest or not."""
+        """Set the pose of ``chassis/odometry`` to zero, at rest or not."""
         self._ask(ResetOdometry(lease=self.number))
 
     def _ask(self, request: Request) -> Reply:
@@ -425,7 +425,7 @@ def _reset(link: RobotLink, lease: int, of: str, *, wait: bool) -> str:
     if wait and seen.state is not ArbiterState.STANDBY:
         _let_stop_end(link)
         now = link.sighting().state
-        # It is as if the reset were asked for now, and nobody has seen what was latched since it was.
+        # The reset counts as requested now, but the operator has not seen later latches.
         challenge = now.challenge
         if new := [reason for reason in now.latched if reason not in seen.latched]:
             raise Refused(
@@ -450,9 +450,9 @@ def _reset(link: RobotLink, lease: int, of: str, *, wait: bool) -> str:
 
 
 def _let_stop_end(link: RobotLink) -> None:
-    """Wait until no stop sequence is under way, or for so long as one may take: the robot says what it is then.
+    """Wait for the end of a stop sequence, at most as long as one may take.
 
-    The newest state may be from before the stop, so one that is commanded is believed only after a moment.
+    The newest state may be older than the stop, so a commanded one is believed only after a moment.
     """
     believed_s = time.monotonic() + ENGAGED_SEEN_S
 
@@ -475,16 +475,16 @@ def stop_all(
     *,
     wait: bool = True,
 ) -> StopReport:
-    """The remote stop of every robot under the root: who is seen to stop, and who is not.
+    """Stop every robot under the root remotely, and report which are seen to stop.
 
     Args:
-        operator: who stops.
-        settings: where the robots are.
-        timeout_s: the longest wait until they are seen to stand.
-        wait: return once their stop sequences have ended too, and they can be reset.
+        operator: name of the operator.
+        settings: place of the robots on Zenoh.
+        timeout_s: the longest wait for standstill.
+        wait: return when the stop sequences have ended and resets are possible.
 
     Raises:
-        CommandError: a name or an endpoint is not of its form.
+        CommandError: a name or an endpoint is malformed.
     """
     return remote_stop.stop_from_here(settings or Settings(), keys.ALL, operator, timeout_s, wait=wait)
 

@@ -1,1 +1,1 @@
-"""The desk: a fleet in a browser. It shows what robots say, and carries what browsers ask to them."""
+"""The desk: a fleet in a browser. Shows what robots publish, and passes on requests from browsers."""

@@ -1,9 +1,4 @@
-"""The fleet as a browser is shown it: overview, newest samples, history.
-
-- The last minutes of each robot: what was asked, told and measured, one point each period. Pure.
-- A robot in one row of the overview: what it does, or what is wrong with it. Pure.
-- The fleet as the desk knows it: samples in, rows of what has changed out. Pure.
-"""
+"""The fleet as browsers see it: rows of the overview, newest samples, histories. Pure."""
 
 from __future__ import annotations
 
@@ -46,14 +41,15 @@ FIELDS: Final = (
     *("asked_mps", "told_mps", "speed_mps", "limit_mps", "asked_deg", "told_deg", "angle_deg"),
     *("x_m", "y_m", "heading_rad"),
 )
-"""Speed: setpoint, command to the chassis, feedback, limit. Steering angle: the first three. Pose: by odometry
-over the states that the desk received, zero at the first."""
+"""Speed: requested, commanded, measured, limit. Steering angle: the first three. Pose: odometry over the states
+that the desk received, from zero.
+"""
 
 _KEPT: Final = LENGTH * len(FIELDS)
 
 
 class Histories:
-    """The newest points of each robot."""
+    """The last minutes of each robot."""
 
     def __init__(self) -> None:
         # Single precision, six times as compact as tuples: a thousand robots take 120 MB at most.
@@ -101,7 +97,6 @@ class Histories:
         )
 
     def pose(self, robot: str) -> DeskPose | None:
-        """Return where a robot is; None if nothing was received of it."""
         if (odometry := self._odometry.get(robot)) is None:
             return None
         return DeskPose(robot, odometry.x_m, odometry.y_m, odometry.heading_rad)
@@ -116,7 +111,7 @@ BUTTONS: Final = {
     " ('cruiser drive ROBOT')": "",
     "name whose stop you clear: 'cruiser reset ROBOT --of NAME'": "press Reset",
 }
-"""The buttons of the page that do what a cure has a command for."""
+"""Buttons of the page in place of commands in cures."""
 
 
 def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
@@ -150,7 +145,7 @@ def recorder_row(name: str, health: RecorderHealth) -> RecorderRow:
 def why_not(
     safety: SafetyState, health: GatewayHealth | None, robot: str
 ) -> tuple[list[tuple[str, str, str]], list[str]]:
-    """Return the reasons for which a robot does not move, and what else to see to."""
+    """Return the reasons for which a robot does not move, and what else needs attention."""
     reasons = [(one.value, *_text(one, robot, safety.blocked_by)) for one in safety.blocked_by]
     notes = [short(plain(note)) for note in health.notes] if health is not None else []
     if health is not None and not health.realtime:
@@ -159,7 +154,7 @@ def why_not(
 
 
 def reasons_in_words() -> dict[str, tuple[str, str]]:
-    """Return meaning and cure of each reason for which a request is refused; ROBOT stands for the robot's name."""
+    """Return meaning and cure of each reason; ROBOT stands for the robot's name."""
     return {reason.value: (text.means, _with_buttons(text.cure, "ROBOT")) for reason, text in TEXTS.items()}
 
 
@@ -190,35 +185,32 @@ def _meanings(reasons: list[Reason], robot: str) -> str:
 
 
 def _limit_mps(safety: SafetyState) -> float:
-    """The speed limit in force, with that of the commands' age."""
+    """Return the speed limit in force, including that of the commands' age."""
     travel_mps = safety.travel_speed_limit_mps
     return safety.speed_limit_mps if travel_mps is None else min(safety.speed_limit_mps, travel_mps)
 
 
 def _count(value: int) -> int:
-    """A sum of what others count, no larger than a browser's numbers are exact."""
+    """Limit a sum of foreign counts to what browsers represent exactly."""
     return min(value, COUNT_MAX)
 
 
 def _rounded(value: float | None) -> float | None:
-    """As exact as it is shown, so that a row changes only where a person sees it."""
+    """Round as shown, so that a row changes only where a person sees it."""
     return None if value is None else round(value, 2)
 
 
 SHOWN: Final = frozenset({Severity.WARNING, Severity.ERROR})  # the events of which the last is in a robot's row
 EVENTS_KEPT: Final = 50  # the last events of a robot, for who begins to look at it
-EVENT_MAX_BYTES: Final = 4096
-"""A larger event is of no gateway, and is passed over: a thousand robots' would fill the memory."""
-
+EVENT_MAX_BYTES: Final = 4096  # larger events are dropped: those of a thousand robots would fill the memory
 BOUNDS: Final = Bounds(robots=1000, recorders=200)  # the robots and recorders that are shown
-FULL_SHOWN_NS: Final = 10_000_000_000
-"""For so long after a name for which there was no room it is said that not all are shown."""
+FULL_SHOWN_NS: Final = 10_000_000_000  # how long after a refused name the page says that not all are shown
 
 _EVENT: Final = f"/{BY_TYPE[SafetyEvent].name}"
 
 
 class FleetView:
-    """All robots and recorders under a root, or the first of too many, and their last minutes."""
+    """All robots and recorders under a root, up to a limit, and their histories."""
 
     def __init__(self, root: str) -> None:
         self.histories = Histories()
@@ -239,7 +231,7 @@ class FleetView:
         self._history_ns = 0
 
     def receive(self, arrival: Arrival) -> None:
-        """Take in an arrival. Of each key the newest is read, when rows are asked for; every event is."""
+        """Store an arrival: the newest sample of each key, read on update, and every event."""
         if isinstance(arrival, Missed) or self._fleet.find(arrival.key, self._now_ns) is None:
             return
         if not isinstance(arrival, Received) or not arrival.key.endswith(_EVENT):
@@ -250,12 +242,12 @@ class FleetView:
                 self._receive_event(sample.parts.robot, sample.message, arrival)
 
     def update(self, now_ns: int, *, linked: bool) -> None:
-        """Read what has come since the last time."""
+        """Read the stored samples."""
         self._now_ns, self._fleet.linked = now_ns, linked
         for arrival in self._newest.values():
             self._fleet.receive(arrival, now_ns)
         self._newest.clear()
-        # One that is lost stays until somebody has seen it, or until another robot needs its room.
+        # A lost robot stays until it is acknowledged, or its place is needed.
         robots = self._names = self._fleet.robots.names(now_ns, lambda robot: self._seen_to_by(robot, OFFLINE))
         self._recorder_names = self._fleet.recorders.names(now_ns, lambda _recorder: True)
         refused = self._fleet.robots.refused + self._fleet.recorders.refused
@@ -273,7 +265,7 @@ class FleetView:
                 self.histories.add(self._fleet.report(robot, now_ns), now_ns)
 
     def changed_rows(self, now_ns: int) -> tuple[dict[str, RobotRow | None], list[RecorderRow] | None]:
-        """Return the rows that have changed since the last call, None for one that has gone; and the recorders."""
+        """Return rows that changed since the last call (None: gone), and the recorders if they changed."""
         rows = {robot: self._row(robot, now_ns) for robot in self._names}
         changed: dict[str, RobotRow | None] = {
             name: row for name, row in rows.items() if self._rows.get(name) != row
@@ -296,14 +288,14 @@ class FleetView:
         return robot in self._rows
 
     def all_rows(self) -> tuple[dict[str, RobotRow | None], list[RecorderRow]]:
-        """Return all rows, as they were returned last."""
+        """Return all rows of the last update."""
         return dict(self._rows), self._recorder_rows
 
     def report(self, robot: str, now_ns: int) -> RobotStatus:
         return self._fleet.report(robot, now_ns)
 
     def why(self, robot: str, now_ns: int) -> DeskWhy | None:
-        """Return why a robot does not move; None where nothing is known of its arbiter."""
+        """Return why a robot does not move; None without a state of its arbiter."""
         report = self.report(robot, now_ns)
         if report.safety is None:
             return None
@@ -311,7 +303,7 @@ class FleetView:
         return DeskWhy(robot, *why_not(report.safety, report.health, robot), (now_ns - since_ns) / 1e9)
 
     def events(self, robot: str) -> list[Received]:
-        """Return the last events of a robot as they came, the oldest first."""
+        """Return the last events of a robot, oldest first."""
         return list(self._last_events.get(robot, ()))
 
     def _row(self, robot: str, now_ns: int) -> RobotRow:
@@ -319,7 +311,7 @@ class FleetView:
         return msgspec.structs.replace(row, acknowledged=self._seen_to_by(robot, row.word))
 
     def acknowledge(self, robot: str, word: str, operator: str) -> None:
-        """Note who sees to an alarm. It holds for as long as the robot's word is this one."""
+        """Note who handles an alarm, until the robot's word changes."""
         self._acknowledged[robot] = word, operator
 
     def _seen_to_by(self, robot: str, word: str) -> str:

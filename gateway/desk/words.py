@@ -1,7 +1,6 @@
-"""Words between a browser and the desk: orders, and answers.
+"""Messages between browsers and the desk, and the queue of each browser. Pure.
 
-- The messages between browser and desk: MessagePack maps over a WebSocket, told apart by ``is``.
-- The messages that wait for one browser. A slow one gets the newest: rows are merged, old samples go. Pure.
+Messages are MessagePack maps over a WebSocket; ``is`` is their type. A queue merges rows and drops old samples.
 """
 
 from __future__ import annotations
@@ -15,10 +14,11 @@ from msgspec import Meta
 
 from schemas.keys import KEY_MAX_LENGTH, OPERATOR_PATTERN, ROBOT_PATTERN
 
-FROM_BROWSER_BYTES: Final = 24_576
-"""The largest message of a browser: a statement of the authority, and what is around it."""
+FROM_BROWSER_BYTES: Final = (
+    24_576  # the largest message of a browser: a statement of the authority, and its envelope
+)
 
-# A robot's name is as long as its key lets it: whoever is shown can be stopped.
+# Names of any length that a key allows, so that every robot on show can be stopped.
 _Robot = Annotated[str, Meta(pattern=rf"\A{ROBOT_PATTERN}\Z", max_length=KEY_MAX_LENGTH)]
 _RobotOrNone = Annotated[str, Meta(pattern=rf"\A({ROBOT_PATTERN})?\Z", max_length=KEY_MAX_LENGTH)]
 _Operator = Annotated[str, Meta(pattern=rf"\A{OPERATOR_PATTERN}\Z", max_length=64)]
@@ -37,13 +37,13 @@ class _Said(msgspec.Struct, frozen=True, tag_field="is", tag=_tag, forbid_unknow
 
 
 class BrowserLook(_Said, frozen=True):
-    """Show this robot closely from now on; none if empty."""
+    """Show this robot in detail from now on; none if empty."""
 
     robot: _RobotOrNone
 
 
 class BrowserAsk(_Said, frozen=True):
-    """Put a verb to a robot, as a query. The bytes go out as they are: what is signed stays signed."""
+    """Send a verb to a robot as a query. The bytes are passed on unchanged, so signatures stay valid."""
 
     number: _Number  # comes back with the replies
     robot: _Robot
@@ -54,7 +54,7 @@ class BrowserAsk(_Said, frozen=True):
 
 
 class BrowserDrive(_Said, frozen=True):
-    """A drive command, as it goes out."""
+    """A drive command, passed on unchanged."""
 
     robot: _Robot
     operator: _Operator
@@ -63,7 +63,7 @@ class BrowserDrive(_Said, frozen=True):
 
 
 class BrowserShow(_Said, frozen=True):
-    """Show a robot a statement of the authority."""
+    """Send a robot a statement of the authority."""
 
     number: _Number  # comes back with the replies
     robot: _Robot
@@ -72,14 +72,14 @@ class BrowserShow(_Said, frozen=True):
 
 
 class BrowserStop(_Said, frozen=True):
-    """The remote stop of a robot, or of all where it is empty. Needs no proof."""
+    """Stop a robot remotely, or all robots if empty. Needs no proof."""
 
     robot: _RobotOrNone
     operator: _Operator  # who stops
 
 
 class BrowserAcknowledge(_Said, frozen=True):
-    """Say that somebody sees to what a robot suffers."""
+    """Say who handles a robot's alarm."""
 
     robot: _Robot
     word: Annotated[str, Meta(max_length=32)]  # what it suffers, as its row says
@@ -97,13 +97,10 @@ class DeskHello(_Told, frozen=True):
     """The first message.
 
     Attributes:
-        root: of all keys.
-        version: of the desk.
-        requests: of each verb the encodings of its request and of its reply.
-        reasons: the meaning and the cure of each reason, in English; ROBOT in a cure stands for the robot's name.
-        statement_reply: the encoding of the reply to a statement.
+        requests: encodings of request and reply, by verb.
+        reasons: meaning and cure, in English; ROBOT in a cure stands for the robot's name.
+        statement_reply: encoding of the reply to a statement.
         period_s: of the points of a history.
-        has_logs: it has a directory of logs, which can be read.
     """
 
     root: str
@@ -116,11 +113,11 @@ class DeskHello(_Told, frozen=True):
 
 
 class DeskRows(_Told, frozen=True):
-    """The overview's rows that have changed; one that is null has gone."""
+    """Changed rows of the overview; null: gone."""
 
     rows: dict[str, RobotRow | None]
     linked: bool  # the desk is connected to Zenoh
-    recorders: list[RecorderRow] | None = None  # all recorders that are heard, where that has changed
+    recorders: list[RecorderRow] | None = None  # all recorders, if they changed
     full: bool = False  # there are more robots, or recorders, than the desk shows
 
 
@@ -130,14 +127,14 @@ class RobotRow(msgspec.Struct, frozen=True):
     level: int  # 0 nothing is wrong, 1 somebody should look, 2 it needs a person
     word: str  # what it does or suffers, one of the words of ``robot_word.WORDS``.
     text: str  # the same with figures, in English
-    driver: str  # who holds its lease; empty if nobody does
+    driver: str  # the lease holder; empty if none
     speed_mps: float | None  # speed_mps, limit_mps: measured, and the limit in force; null if not known
     limit_mps: float | None
-    link_age_s: float | None  # age of the drive commands that it obeys; null where it obeys none
+    link_age_s: float | None  # age of the drive commands; null without any
     lost: int | None  # feedback frames that were lost since its gateway's start; null if not known
     event: str  # the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock
     event_ns: int
-    acknowledged: str = ""  # who sees to what it suffers; empty if nobody does
+    acknowledged: str = ""  # who handles its alarm; empty if none
     reasons: list[str] = []  # why it has this word, for pages in other languages; empty where nothing is wrong
 
 
@@ -152,7 +149,7 @@ class RecorderRow(msgspec.Struct, frozen=True):
 
 
 class DeskSample(_Told, frozen=True):
-    """A sample of the robot that is shown closely, as it came: its signature can be verified."""
+    """A sample of the robot on show, unchanged, so that its signature can be verified."""
 
     subject: str
     key: str
@@ -162,16 +159,16 @@ class DeskSample(_Told, frozen=True):
 
 
 class DeskWhy(_Told, frozen=True):
-    """The reasons for which the robot that is shown closely does not move, in the words of ``cruiser why``."""
+    """Why the robot on show does not move, in the words of ``cruiser why``."""
 
     robot: str
     reasons: list[tuple[str, str, str]]  # each with its meaning and its cure
     notes: list[str]  # what else should be seen to
-    since_s: float  # for so long the desk has seen the robot's word
+    since_s: float  # time with this word, as the desk has seen it
 
 
 class DeskHistory(_Told, frozen=True):
-    """The last minutes of the robot that is shown closely, one point each ``period_s``; null where not known."""
+    """The last minutes of the robot on show, a point per ``period_s``; null: unknown."""
 
     robot: str
     age_s: float  # of the newest point
@@ -179,7 +176,7 @@ class DeskHistory(_Told, frozen=True):
 
 
 class DeskPose(_Told, frozen=True):
-    """The pose of the robot that is shown closely, in the axes of its history."""
+    """The pose of the robot on show, in the axes of its history."""
 
     robot: str
     x_m: float
@@ -188,7 +185,7 @@ class DeskPose(_Told, frozen=True):
 
 
 class DeskReply(_Told, frozen=True):
-    """A reply to ``BrowserAsk`` or ``BrowserShow``, as it came; ``last`` ends the question, without a reply."""
+    """A reply to ``BrowserAsk`` or ``BrowserShow``, unchanged; ``last`` ends the replies, and carries none."""
 
     number: int
     last: bool
@@ -200,14 +197,14 @@ class DeskReply(_Told, frozen=True):
 
 
 class DeskStopped(_Told, frozen=True):
-    """The outcome of a remote stop. Never more than is known.
+    """The outcome of a remote stop.
 
     Attributes:
-        robot: that was to be stopped; empty for all.
-        standing: robots that replied and are seen to stand, latched.
-        refused, unconfirmed: what the others that replied said, or why they are not known to stand.
-        silent: those that are connected and did not reply.
-        counted: it is known which robots are connected.
+        robot: empty for all.
+        standing: robots that replied, and are seen to stand with the stop latched.
+        refused, unconfirmed: other robots that replied, and why they cannot or may not stand.
+        silent: connected robots without a reply.
+        counted: all connected robots are known.
     """
 
     robot: str
@@ -219,10 +216,10 @@ class DeskStopped(_Told, frozen=True):
 
 
 class DeskRefused(_Told, frozen=True):
-    """Why a message of the browser was not obeyed.
+    """Why a browser's message was not carried out.
 
     Attributes:
-        stop: the robot of a stop whose outcome is not known, empty for all; null where it was no stop.
+        stop: the robot of a stop with unknown outcome, empty for all; null if it was no stop.
     """
 
     fault: str
@@ -234,23 +231,21 @@ ToBrowser = (
 )
 
 decode: Final[Callable[[bytes], FromBrowser]] = msgspec.msgpack.Decoder(FromBrowser).decode
-"""A browser's message. Raises ``msgspec.DecodeError`` or ``msgspec.ValidationError``, and nothing else."""
+"""Decode a browser's message. Raises only ``msgspec.DecodeError`` or ``msgspec.ValidationError``."""
 
 encode: Final = msgspec.msgpack.Encoder().encode
 
 
-SAMPLES_WAITING: Final = 64
-"""Samples of the robot that is shown closely; a second of them. Beyond it the oldest go."""
-
+SAMPLES_WAITING: Final = 64  # samples of the robot on show, a second of them; beyond it the oldest go
 WAITING: Final = 512  # replies and all else that may wait; a browser that reads fewer is cut off
 
 
 class BrowserOutbox:
-    """Messages for one browser.
+    """Messages that wait for one browser.
 
     Attributes:
-        robot: the one that it shows closely; empty if none.
-        is_full: it does not read, and should be cut off.
+        robot: the one on show; empty if none.
+        is_full: the browser does not read, and should be disconnected.
     """
 
     def __init__(self) -> None:
@@ -264,12 +259,12 @@ class BrowserOutbox:
         self._full = False
 
     def look(self, robot: str) -> None:
-        """Show another robot closely. Samples of the one before are of no use any more."""
+        """Show another robot, and drop samples of the former one."""
         self.robot = robot
         self._samples.clear()
 
     def add(self, message: ToBrowser) -> None:
-        """Add a message that may not be left out."""
+        """Add a message that must not be dropped."""
         if isinstance(message, DeskSample):
             self._samples.append(message)
         elif len(self._messages) < WAITING:
@@ -285,13 +280,13 @@ class BrowserOutbox:
         linked: bool,
         full: bool = False,
     ) -> None:
-        """Add the rows that have changed; those that still wait are replaced."""
+        """Add changed rows; they replace waiting ones."""
         self._rows |= rows
         self._recorders = self._recorders if recorders is None else recorders
         self._linked, self._full = linked, full
 
     def take(self) -> list[ToBrowser]:
-        """Return all that waits, and keep nothing of it."""
+        """Remove and return all messages."""
         taken: list[ToBrowser] = [*self._messages]
         self._messages.clear()
         if self._linked is not None:

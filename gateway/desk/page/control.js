@@ -4,8 +4,8 @@ import { Lease, Robot, isAhead, random, runOf } from "./proof.js";
 
 const PERIOD_MS = 20; // 50 drive commands a second
 const FRESH_MS = 300; // of a state whose challenge is echoed: as long as the deadman
-const LOST_MS = 1000; // the robot has stopped by its deadman long ago: whoever drove it begins anew
-const ASLEEP_MS = 250; // a period that took so long: the page was frozen, and so was whoever holds the key
+const LOST_MS = 1000; // the robot stopped by its deadman long ago: the driver must start again
+const ASLEEP_MS = 250; // after a longer period the page was frozen, and held keys do not count
 const RENEW_MS = 500; // a lease expires after 2 s
 const STOP_MS = 10_000; // what a stop takes, at most
 const SIGNED = ["safety/state", "state"];
@@ -24,7 +24,7 @@ export class Refusal extends Error {
 export class Control {
   /**
    * @param link the WebSocket to the desk.
-   * @param hello what the desk said of itself.
+   * @param hello the desk's first message.
    * @param robot its name.
    * @param name the operator's, in open mode.
    * @param signer key and grant; null in open mode.
@@ -36,10 +36,10 @@ export class Control {
     this.state = null; // the newest safety/state that is believed
     this.stateMs = -Infinity;
     this.sequence = 0;
-    this.wish = () => null; // {speed, angle}: what whoever holds something down asks for; null for nothing
+    this.wish = () => null; // {speed, angle} of what is held down; null for nothing
     this.onend = () => {};
     this.driving = false;
-    this.over = false; // whoever began has given it up
+    this.over = false; // the driver has given up
     this.shown = {}; // the newest sequence that was believed, by subject
   }
 
@@ -57,7 +57,7 @@ export class Control {
     return `${this.hello.root}/${this.robot}/@cmd/${this.name}/${verb}`;
   }
 
-  /** Take in a sample of `safety/state`. In signed mode one that the robot did not sign in this run is passed over. */
+  /** Process a sample of `safety/state`; in signed mode only if the robot signed it in this run. */
   async receiveState({ key, encoding, payload, attachment }) {
     if (this.signer) {
       if (!this.met || !(await this.met.isPublication({ key, encoding, payload }, attachment, this.run))) return;
@@ -114,7 +114,7 @@ export class Control {
     return answers[0];
   }
 
-  /** The newest state, once there is one that is fresh. */
+  /** The newest state, once a fresh one has arrived. */
   async current() {
     for (let left = 150; left > 0; left--) {
       if (performance.now() - this.stateMs < FRESH_MS) return this.state;
@@ -123,7 +123,7 @@ export class Control {
     throw new Error(`no state to believe comes from ${this.robot}`);
   }
 
-  /** Get the lease, or take it from who holds it; then engage, and stream from there on. */
+  /** Acquire or take the lease, engage, and stream from then on. */
   async begin(verb, more = {}) {
     await this.meet();
     await this.current();
@@ -133,7 +133,7 @@ export class Control {
     try {
       this.proof = ours && (await Lease.agree(pair.privateKey, ours, answer.public_key, attachment, answer.lease, this.key("drive")));
       await this.standby();
-      // Given up while it was asked for: no robot is engaged that nobody looks at.
+      // The page was left meanwhile: do not engage a robot without a viewer.
       if (this.over) throw new Error("given up");
     } catch (error) {
       await this.release();
@@ -178,7 +178,7 @@ export class Control {
     // Without a fresh challenge nothing is sent: the robot stops by its deadman.
     if (nowMs - this.stateMs > FRESH_MS || this.sending) return;
     const wish = slept ? null : this.wish();
-    // Whoever lets go leaves the wheels as they are: they are not turned on the spot.
+    // After letting go the wheels stay as they are: they are not turned on the spot.
     const { speed, angle } = wish ?? { speed: 0, angle: this.angle };
     this.angle = angle;
     const command = { lease: this.lease, seq: this.sequence++, challenge: this.state.challenge, speed_mps: speed, angle_deg: angle };
@@ -193,7 +193,7 @@ export class Control {
     }
   }
 
-  /** Drive no more, and give the lease back: whoever clears the cause of a stop needs it. */
+  /** Stop driving and release the lease, which a reset needs. */
   end(reason, detail) {
     if (!this.driving) return;
     this.driving = false;
@@ -212,7 +212,7 @@ export class Control {
     try {
       await this.ask("release", { lease });
     } catch {
-      // It ends by itself in two seconds.
+      // It expires in two seconds.
     }
   }
 

@@ -13,7 +13,7 @@ const NAME = /^[A-Za-z0-9_.-]{1,64}$/;
 
 /** The name under which this browser commands in open mode, and stops in any: its own, until somebody types theirs. */
 export function operatorName() {
-  // Whatever another page of this address has left there: no stop fails for a name.
+  // Another page of this address may have stored anything: a stop must not fail for a name.
   const name = localStorage.getItem("operator") ?? "";
   if (NAME.test(name)) return name;
   localStorage.setItem("operator", `desk-${Array.from(crypto.getRandomValues(new Uint8Array(2)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`);
@@ -70,7 +70,7 @@ export class DrivePanel {
     setText(this.note, "");
   }
 
-  /** Ask once who drives here: others see the name, and the log keeps it. Whoever presses again drives under it. */
+  /** Ask once for the driver's name, which others see and logs contain; a second press accepts it. */
   asksName() {
     if (this.signer || localStorage.getItem("operator_asked")) return false;
     localStorage.setItem("operator_asked", "yes");
@@ -138,7 +138,7 @@ export class DrivePanel {
       this.update(this.safety);
     };
     await control.begin(verb, more);
-    // Whatever was held before the robot was engaged counts when it is pressed anew.
+    // What was held before the robot was engaged counts only when it is pressed again.
     held.letGo();
     control.wish = () => {
       const wish = held.wish();
@@ -213,7 +213,7 @@ export class DrivePanel {
     this.pad.setAttribute("aria-disabled", String(!driving));
   }
 
-  /** The page shows something else: whoever drove lets go, and gives the lease back. */
+  /** The page shows something else: stop driving, and release the lease. */
   end() {
     this.left = true;
     this.control?.release();

@@ -1,4 +1,4 @@
-// What is held down: a pointer on the pad, keys, a gamepad's trigger. Whatever takes it away lets go.
+// Inputs that are held down: a pointer on the pad, keys, a gamepad's trigger. Losing one releases it.
 
 const KEYS = {
   ArrowUp: [1, 0], KeyW: [1, 0], ArrowDown: [-1, 0], KeyS: [-1, 0], ArrowLeft: [0, 1], KeyA: [0, 1], ArrowRight: [0, -1], KeyD: [0, -1],
@@ -46,7 +46,7 @@ export class Held {
     on(window, "keydown", (event) => {
       if (!(event.code in KEYS) || event.ctrlKey || event.altKey || event.metaKey || isField(event.target)) return;
       event.preventDefault();
-      // A key that was let go of for its holder, by a lost focus, counts when it is pressed anew.
+      // A key that was released by a lost focus counts only when it is pressed again.
       if (event.repeat) return;
       this.keys.add(event.code);
       onchange();

@@ -1,8 +1,8 @@
-// The WebSocket to the desk: MessagePack maps, told apart by `is`. It connects anew by itself.
+// The WebSocket to the desk: MessagePack maps with `is` as their type. It reconnects automatically.
 
 const FIRST_WAIT_MS = 300;
 const LONGEST_WAIT_MS = 3000;
-const SILENT_MS = 3000; // the desk sends something five times a second: one that is silent so long hangs, or the way to it is cut
+const SILENT_MS = 3000; // the desk sends five times a second: after a longer silence it hangs or cannot be reached
 const LOOK_MS = 500;
 
 export class Link {
@@ -19,7 +19,7 @@ export class Link {
     setInterval(() => this.connected && Math.min(this.silentMs, performance.now() - this.openedMs) > SILENT_MS && this.lose(this.socket), LOOK_MS);
   }
 
-  /** The time since the desk was last heard, by this page's own clock: no other process has to notice that it hangs. */
+  /** Time since the desk's last message, by this page's clock, so that a hang of any process is noticed. */
   get silentMs() {
     return performance.now() - this.heardMs;
   }

@@ -1,4 +1,4 @@
-// The page: which of its views is shown, and who is told what arrives.
+// The page: which view is shown, and where messages go.
 
 import { FRESH_MS } from "./contact.js";
 import { DrivePanel, operatorName } from "./drive.js";
@@ -38,7 +38,7 @@ function route() {
   link.send({ is: "look", robot });
 }
 
-/** The page's name says how many alarms nobody sees to: also where another tab is shown. */
+/** Show the number of unacknowledged alarms in the page's title, which other tabs show too. */
 function showTitle() {
   const unseen = [...fleet.rows.values()].filter((row) => row.level === 2 && !row.acknowledged).length;
   const title = `${unseen ? `(${unseen}) ` : ""}${shownRobot() ? `${shownRobot()} · ` : ""}Cruiser`;
@@ -63,7 +63,7 @@ function showLink() {
   if (view instanceof Overview) view.showContact(isLost ? t("desk_lost", (link.silentMs / 1000).toFixed(1)) : fleet.linked ? "" : t("unlinked"));
 }
 
-/** Keep the names: of each robot it is known only that nothing is. A desk that starts anew may not know of all of them. */
+/** Keep the names of all robots, as offline: a restarted desk may not know all of them. */
 function loseRows() {
   const known = [...fleet.rows].filter(([, row]) => row.word !== "offline");
   if (known.length === 0) return;
@@ -117,7 +117,7 @@ addEventListener("keydown", (event) => {
 });
 addEventListener("hashchange", () => {
   route();
-  // The link that led here is gone: whoever has no mouse goes on from the top.
+  // The link that led here is gone: the keyboard focus goes to the top.
   scrollTo(0, 0);
   byId("view").focus({ preventScroll: true });
 });

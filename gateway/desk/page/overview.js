@@ -75,7 +75,7 @@ export class Overview {
     return wanted === "" || [name, row.driver, row.text, textOf(row), wordOf(row.word)].some((text) => text.toLowerCase().includes(wanted));
   }
 
-  /** The head of the table: each column sorts by itself, a second press the other way round. */
+  /** The table's head: a press sorts by that column, a second one in reverse. */
   head() {
     this.heads = new Map(COLUMNS.map(([name, kind]) => {
       const sort = () => {
@@ -119,7 +119,7 @@ export class Overview {
 
 const COLUMNS = [["robot"], ["state"], ["driver", "hide"], ["speed", "number"], ["limit", "number hide"], ["link_age", "number hide"], ["lost", "number hide"], ["what", "what"]];
 
-/** The value of a row that a column sorts by. An alarm that somebody sees to comes after those that nobody does. */
+/** The value that a column sorts by. Acknowledged alarms come after the others. */
 const SORTED = {
   robot: (row, name) => name,
   state: (row) => 2 * WORDS.length * (2 * row.level - (row.acknowledged ? 1 : 0)) - WORDS.indexOf(row.word),
@@ -156,7 +156,7 @@ function fill(shown, row) {
   setText(parts.limit, number(row.limit_mps, 2, "m/s"));
   setText(parts.link_age, row.link_age_s === null ? "--" : `${Math.round(1000 * row.link_age_s)} ms`);
   setText(parts.lost, row.lost === null ? "--" : String(row.lost));
-  // Of a robot that is fine, word and driver have said it all.
+  // If nothing is wrong, word and driver are enough.
   setText(parts.what, row.level > 0 ? textOf(row) : row.event && `${t("last_event")}: ${said(row.event)}`);
   setText(parts.seen, row.acknowledged ? `${t("seen_by")} ${row.acknowledged}` : "");
   parts.see.hidden = row.level < 2 || row.acknowledged !== "";

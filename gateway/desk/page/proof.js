@@ -17,7 +17,7 @@ export function signedText(kind, ...parts) {
 export function messageText(kind, message, fields, ...request) {
     return signedText(kind, utf8(message.key), utf8(message.encoding), fields, message.payload, ...request);
 }
-/** A key that signs verbs, the grant that makes robots obey it, and the authority that robots are known by. */
+/** A key that signs verbs, its grant, and the authority that signs robots. */
 export class Operator {
     key;
     grant;
@@ -84,7 +84,7 @@ export class Robot {
 export function runOf(attachment) {
     return attachment.slice(1, ROBOT_FIELDS_BYTES);
 }
-/** Is this `sequence` after the newest one that was believed? After the last number, 0 follows. */
+/** Is this `sequence` after the newest accepted one? It wraps to 0. */
 export function isAhead(sequence, newest) {
     return newest === undefined || ((sequence - newest) | 0) > 0; // the difference as a signed number of 32 bits
 }
@@ -115,7 +115,7 @@ export class Bundle {
     statement, 
     /** The authority's active public key, hexadecimal. */
     authority, 
-    /** Of all that it brings of the authority: nobody but who compares it knows whose authority that is. */
+    /** Fingerprint of all that the bundle says of the authority, for the user to compare. */
     fingerprint) {
         this.name = name;
         this.key = key;

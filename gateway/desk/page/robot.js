@@ -151,7 +151,7 @@ export class RobotPage {
     this.notes.replaceChildren(...(this.why?.notes ?? []).map((note) => h("li", { lang: languageOf(note) }, said(note))));
   }
 
-  /** Nothing came for a second, by this page's own clock: whatever hangs or has died, the robot may be moving. */
+  /** Nothing arrived for a second, by this page's clock: the robot may be moving. */
   get isLost() {
     return performance.now() - this.heardMs >= FRESH_MS;
   }

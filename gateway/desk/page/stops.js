@@ -16,7 +16,7 @@ export class Stops {
     link.on("closed", () => [...this.waiting.keys()].forEach((robot) => this.unknown(robot, t("no_desk"))));
   }
 
-  /** Stop a robot, or all with an empty name. Whoever asks needs no right to drive. */
+  /** Stop a robot, or all with an empty name. Needs no right to drive. */
   stop(robot, operator) {
     const whom = robot || t("everyone");
     const sent = this.link.send({ is: "stop", robot, operator });
@@ -24,7 +24,7 @@ export class Stops {
     if (sent) this.waiting.set(robot, setTimeout(() => this.unknown(robot, t("no_outcome")), OUTCOME_MS));
   }
 
-  /** Nobody says what came of a stop: then it is not known, and a person has to look. */
+  /** The outcome of a stop did not arrive: a person has to look. */
   unknown(robot, why) {
     this.card(robot, 2, h("b", {}, `${t("stop_outcome")}: ${robot || t("everyone")}`), h("ul", {}, [why, t("use_button")].map((row) => h("li", {}, row))));
   }
