@@ -1,4 +1,4 @@
-"""The common part of all questions: which logs and which time they are about, and the progress of an answer."""
+"""The common part of all questions: their logs, their time, and the progress bar."""
 
 from __future__ import annotations
 
@@ -27,28 +27,27 @@ if TYPE_CHECKING:
 JSON_HELP: Final = "print JSON"
 
 _EXTRA: Final = {**dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"), "obstore": "upload"}
-"""Libraries that extras bring."""
+"""Libraries, and the extras that bring them."""
 
 NAMES_SHOWN: Final = 12
-"""So many robots are named where there are more."""
+"""Limit of robots that are named in a line."""
 
 BUDGET_S: Final = 30.0
-"""Time after which any reading is given up."""
+"""Time after which reading is given up."""
 
 BUDGET_S_PER_BYTE: Final = 1e-6
-"""Time added to ``BUDGET_S`` for each byte of the logs: a second a megabyte."""
+"""Time added for each byte of the logs: a second per megabyte."""
 
 
 LAST_NS: Final = 2**63 - 1
-"""The last time that 64 bits with a sign hold, in nanoseconds since 1970; MCAP's times have no sign."""
+"""The last time that fits into 64 bits with a sign; MCAP's times have no sign."""
 
 
 class Asked(msgspec.Struct):
     """The subject of a question.
 
     Attributes:
-        from_ns: the first log time that is asked about...
-        to_ns: ...and the first one that is not any more.
+        from_ns, to_ns: the log times from the first wanted one to the first one beyond.
     """
 
     logs: list[LogFile]
@@ -60,17 +59,17 @@ class Asked(msgspec.Struct):
 
     @property
     def selection(self) -> Selection:
-        """All topics of the time that is asked about."""
+        """All topics of the requested time."""
         return Selection(from_ns=self.from_ns, to_ns=self.to_ns)
 
     @property
     def bytes(self) -> int:
-        """The length of all files."""
+        """The size of all files."""
         return sum(log.bytes for log in self.logs)
 
 
 def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
-    """Files, directories and addresses in object stores, and --json."""
+    """Declare LOG and --json."""
     parser.add_argument(
         "logs",
         nargs="+",
@@ -82,7 +81,7 @@ def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> 
 
 
 def log_place(text: str) -> Path | StoreAddress:
-    """A path of this machine, or an address in an object store."""
+    """A path, or an address in an object store."""
     if "://" in text:
         from recorder.objects.address import StoreAddress, is_address  # noqa: PLC0415 - only for an address
 
@@ -98,12 +97,12 @@ def add_robots(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME",
-        help="of this robot; * stands for any letters; several times",
+        help="only this robot; * matches any letters; may be repeated",
     )
 
 
 def chosen_robots(patterns: Sequence[str], robots: Collection[str]) -> frozenset[str]:
-    """The robots that fit one of the patterns. An empty answer would look as if nothing had happened."""
+    """The robots that match one of the patterns. Raises CommandError if a pattern matches none."""
     for pattern in patterns:
         if not any(fnmatchcase(robot, pattern) for robot in robots):
             others = f", but of {in_short(sorted(robots, key=in_order))}" if robots else ""
@@ -112,15 +111,15 @@ def chosen_robots(patterns: Sequence[str], robots: Collection[str]) -> frozenset
 
 
 def in_short(names: Sequence[str]) -> str:
-    """Names for people: of many the first ones, and how many more there are."""
+    """The first names, and the number of the others."""
     more = len(names) - NAMES_SHOWN
     return ", ".join(map(plain, names[:NAMES_SHOWN])) + (f" and {more} more" if more > 0 else "")
 
 
 def add_period(parser: argparse.ArgumentParser) -> None:
     """--from and --to."""
-    parser.add_argument("--from", dest="from_time", metavar="TIME", help=f"begin there: {FORMS}")
-    parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before that, likewise")
+    parser.add_argument("--from", dest="from_time", metavar="TIME", help=f"start at this time: {FORMS}")
+    parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before this time")
 
 
 def find(
@@ -130,15 +129,15 @@ def find(
     *,
     with_covered: bool = False,
 ) -> Asked:
-    """The logs and the time that are asked about; of directories incidents too that are covered, if so wanted."""
+    """Find the logs and the time of a question; with incidents that other logs cover, if wanted."""
     faults = Faults()
     paths = [one for one in arguments.logs if isinstance(one, Path)]
     if getattr(arguments, "ray", None):
-        # Other machines do not begin where this process does.
+        # Other machines have another working directory.
         paths = [path.absolute() for path in paths]
     addresses = [one for one in arguments.logs if not isinstance(one, Path)]
     if addresses and getattr(arguments, "ray", None):
-        raise CommandError("machines of --ray have no copies of a store's logs: copy them to where all see them")
+        raise CommandError("--ray cannot read logs of an object store: copy them to a path that all machines see")
     stored = stored_logs(addresses, settings, faults, stopped) if addresses else []
     logs = find_logs(paths, faults, with_covered=with_covered, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
@@ -146,7 +145,7 @@ def find(
     late = [log.name for log in logs if log.end_ns > LAST_NS]
     if late:
         more = f" and {len(late) - 1} more" if len(late) > 1 else ""
-        text = "holds log times after 2262-04-11, which no table can hold: they become the last time that it can"
+        text = "holds log times after 2262-04-11, which no table can hold: they become that time"
         sys.stderr.write(f"cruiser review: {plain(late[0])}{more} {text}\n")
     begin, end = getattr(arguments, "from_time", None), getattr(arguments, "to_time", None)
     from_ns = 0 if begin is None else time_of(begin, start_ns, end_ns)
@@ -155,7 +154,7 @@ def find(
         raise CommandError("there is no time between --from and --to", ExitCode.USAGE)
     if end_ns and (from_ns > end_ns or to_ns <= start_ns):
         period = f"{in_words(start_ns)} to {in_words(end_ns)}"
-        raise CommandError(f"the logs hold nothing of that time: they go from {period}", ExitCode.USAGE)
+        raise CommandError(f"the logs hold nothing of that time: they cover {period}", ExitCode.USAGE)
     return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
 
 
@@ -178,15 +177,11 @@ def progress_bar(
     prints: bool = False,
     is_bounded: bool = True,
 ) -> Generator[Progress, None, None]:
-    """Show a bar on stderr, if that is a terminal. Yields the function that receives the number of bytes read.
+    """Show a bar on stderr, if it is a terminal. Yields the function that takes the number of bytes read.
 
-    ``prints``: the answer is printed while it is read, which on a terminal would be over the bar. ``is_bounded``:
-    give up when it takes far longer than so many bytes should, for a log may be made to; not where the time is the
-    question's own, as of a statement of SQL.
-
-    Raises:
-        KeyboardInterrupt: it was stopped.
-        CommandError: it took too long.
+    ``prints``: no bar if the answer is printed to a terminal meanwhile. ``is_bounded``: raise CommandError if
+    reading takes far too long, since a log can be made to cause that; not for SQL. Raises KeyboardInterrupt if
+    it was stopped.
     """
 
     def stop(_count: int) -> None:
@@ -202,7 +197,7 @@ def progress_bar(
 
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
-    # Nothing of stdout may be taken: it may well be a file while stderr is a terminal.
+    # stdout is left alone: it may be a file while stderr is a terminal.
     with Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
         task = bar.add_task(about, total=total_bytes)
 
@@ -214,15 +209,14 @@ def progress_bar(
 
 
 def in_time(total_bytes: int, progress: Progress) -> Progress:
-    """Give up where reading so many bytes takes far longer than it should: a log may be made to."""
+    """Limit the time of reading by the number of bytes: a log can be made to take forever."""
     budget_s = BUDGET_S + BUDGET_S_PER_BYTE * total_bytes
     end_s = time.monotonic() + budget_s
 
     def go_on(count: int) -> None:
         if time.monotonic() >= end_s:
             raise CommandError(
-                f"given up after {budget_s:.0f} s, which is long for {total_bytes} bytes: the answer lacks what "
-                "was not read by then",
+                f"given up after {budget_s:.0f} s, too long for {total_bytes} bytes: the answer is incomplete",
                 ExitCode.PARTIAL,
             )
         progress(count)
@@ -232,7 +226,7 @@ def in_time(total_bytes: int, progress: Progress) -> Progress:
 
 @contextmanager
 def needing_extra() -> Generator[None, None, None]:
-    """Surround an import of what an extra brings."""
+    """Name the missing extra if an import in this block fails."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -243,13 +237,13 @@ def needing_extra() -> Generator[None, None, None]:
 
 
 def no_robot(faults: Faults) -> CommandError:
-    """Return the error that logs hold nothing of a robot. What cannot be read of them is told before."""
+    """The error that logs hold nothing of a robot, after printing their faults."""
     code = end_with(faults)
     return CommandError("the log holds nothing of a robot", ExitCode(code or ExitCode.FAILURE))
 
 
 def end_with(faults: Faults) -> int:
-    """Print on stderr what could not be read. Returns the exit code."""
+    """Print the faults on stderr. Returns the exit code."""
     for fault in faults.told:
         sys.stderr.write(f"cruiser review: {plain(fault)}\n")
     if faults.count > len(faults.told):
@@ -258,12 +252,12 @@ def end_with(faults: Faults) -> int:
 
 
 def worst(codes: Iterable[int]) -> int:
-    """The exit code that outweighs the others: a failure, then a partial answer."""
+    """The worst exit code: a failure, then a partial answer."""
     return int(max(codes, key=(ExitCode.OK, ExitCode.PARTIAL, ExitCode.FAILURE).index))
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> list[str]:
-    """Columns as lines; the first so many are words and begin left, the others are numbers."""
+    """Columns as lines; the first ``words`` columns are left-aligned, the others right-aligned."""
     if not rows:
         return []
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]

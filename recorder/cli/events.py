@@ -1,4 +1,4 @@
-"""``cruiser review events``: what happened, in order."""
+"""``cruiser review events``: list what happened, in order."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ EXAMPLE: Final = """\
   cruiser review events logs --from 20 --to 40 --kind stop --kind refusal --robot 'depot-*'
   cruiser review events logs --json | jq -r 'select(.severity == "error").text'"""
 DESCRIPTION: Final = (
-    "What happened, in order: leases, engages, stops, latches, faults, takeovers, refusals, and what the log "
-    "lacks, each with time, cause and operator. Alike refusals and faults that follow each other are told once, "
-    "with a count. Exit code 1 if the logs hold nothing of a robot, 3 if a file is not whole."
+    "List what happened, in order: leases, engagements, stops, latches, faults, takeovers, refusals, and gaps in "
+    "the log, each with time, cause and operator. Similar refusals and faults in a row are one line with a count. "
+    "Exit code 1 if the logs hold nothing of a robot, 3 if a file is not whole."
 )
 
 
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=[kind.value for kind in EntryKind],
         metavar="KIND",
-        help=f"of this kind; several times. One of {', '.join(kind.value for kind in EntryKind)}",
+        help=f"only this kind; may be repeated. One of {', '.join(kind.value for kind in EntryKind)}",
     )
 
 
@@ -81,10 +81,7 @@ def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[En
 
 
 def record_of(entry: Entry, start_ns: int) -> dict[str, Any]:
-    """An entry as a JSON object: its own fields, and some more.
-
-    ``time`` is a text, ``since_s`` seconds since the beginning of the logs, and ``cause`` the reason in words.
-    """
+    """An entry as a JSON object, with its time in words and since the start of the logs."""
     return {
         "time": in_words(entry.time_ns),
         "since_s": round((entry.time_ns - start_ns) / 1e9, 6),
@@ -100,7 +97,7 @@ def _as_json(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
 
 _HEAD: Final = ("since/s", "time (UTC)", "robot", "severity", "kind", "cause", "operator", "what")
 _ROW: Final = "{:>10}  {:12}  {:10}  {:8}  {:8}  {:16}  {:16}  {}"
-"""Columns of fixed width, since nothing waits for the last entry."""
+"""Columns of fixed width: entries are printed as they are read."""
 
 
 def _as_table(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
@@ -121,7 +118,7 @@ def _as_table(entries: Iterable[Entry], asked: Asked) -> Iterator[str]:
             entry.operator or (f"({entry.holder})" if entry.holder and not entry.request else "-"),
             _what(entry),
         )
-        # A log's names come from anywhere, and may try to rule the terminal.
+        # Names in a log may hold terminal commands.
         yield plain(row)
 
 

@@ -1,4 +1,4 @@
-"""``cruiser review info``: what logs hold."""
+"""``cruiser review info``: show what logs hold."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review info logs/cruiser-1-20260102T030405Z.mcap\n  cruiser review info logs"
 DESCRIPTION: Final = (
-    "What logs hold: channels, rates, times, robots, versions, attachments, and what the recorder says that it "
-    "lost while it wrote them; of the logs of a directory a line each. Of a whole log only its end is read; a log "
-    "without one is gone through. Whether all of it is true is asked with 'check'. Exit code 3 if a file is not "
-    "whole, unless a recorder is writing it, or if it takes too long to read."
+    "Show what logs hold: channels, rates, times, robots, versions, attachments, and the recorder's account of "
+    "losses; for the logs of a directory one line each. Of a whole log only the end is read, of any other all "
+    "records. 'check' verifies that it is true. Exit code 3 if a file is not whole, unless a recorder is writing "
+    "it, or if it takes too long to read."
 )
-JSON_HELP: Final = "print a JSON object a line, one for each file, and of several a last one for all together"
+JSON_HELP: Final = "print a JSON object a line for each file, and for several files one for all at the end"
 
 _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_full", "lost_disk")
 
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show all logs; of a broken file the part that can be read."""
+    """Show all logs, broken ones as far as they can be read."""
     asked = find(arguments, settings, stopped)
     infos: list[LogInfo | LogBrief] = []
     unfinished: set[str] = set()
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def describe(info: LogInfo | LogBrief | SetInfo) -> Iterator[str]:
-    """Return lines for people about a log, or about several together."""
+    """The lines about a log, or about several together."""
     if isinstance(info, SetInfo):
         return _of_all(info)
     return _in_short(info) if isinstance(info, LogBrief) else _of_one(info)
@@ -85,7 +85,7 @@ def _in_short(info: LogBrief) -> Iterator[str]:
     period = "no time"
     if info.start_ns is not None:
         period = f"from {in_words(info.start_ns)}, {info.duration_s:.0f} s"
-    lost = "losses not told" if info.lost is None else f"{info.lost} lost"
+    lost = "losses unknown" if info.lost is None else f"{info.lost} lost"
     robots = f"robot {in_short(info.robots)}" if info.robots else "no robot"
     yield f"{info.path}: {_state(info)}, {robots}, {period}, {info.bytes} bytes, {info.messages} messages, {lost}"
 
@@ -105,13 +105,13 @@ def _of_all(info: SetInfo) -> Iterator[str]:
 def _of_one(info: LogInfo) -> Iterator[str]:
     yield f"{info.path}: {_state(info)}, {info.bytes} bytes, {info.messages} messages"
     if info.source is LogSourceInfo.RECORDS:
-        yield "  it has no end that tells what it holds: read record by record"
+        yield "  it has no summary at its end: read record by record"
     yield from (f"  fault: {fault}" for fault in info.faults)
     if info.fault_count > len(info.faults):
         yield f"  and {info.fault_count - len(info.faults)} more faults"
     if info.start_ns is not None and info.end_ns is not None:
         yield f"  {in_words(info.start_ns)} to {in_words(info.end_ns)}, {info.duration_s:.3f} s"
-    yield from (f"  robot {robot}, variant {info.variants.get(robot, 'not told')}" for robot in info.robots)
+    yield from (f"  robot {robot}, variant {info.variants.get(robot, 'unknown')}" for robot in info.robots)
     yield from (f"  {key.replace('_', ' ')} {value}" for key, value in sorted(info.versions.items()))
     yield from table(
         ("channel", "schema", "messages", "rate/Hz"),
@@ -133,15 +133,15 @@ def _of_one(info: LogInfo) -> Iterator[str]:
 
 
 def _completeness(info: LogInfo) -> Iterator[str]:
-    """Yield the recorder's own account of its losses."""
+    """The recorder's account of losses."""
     if not info.completeness:
-        yield "  its recorder does not say what it lost"
+        yield "  the recorder's account of losses is not in the log"
         return
     if info.is_cut:
-        yield "  the whole log that this is a part of, as its recorder says:"
+        yield "  of the whole log, which this is a part of:"
     lost = {topic: one for topic, one in info.completeness.items() if one.lost or one.lost_bus or one.lost_source}
     if not lost:
-        yield "  nothing was lost, as its recorder says"
+        yield "  nothing lost, by the recorder's account"
     yield from table(
         (
             "lost on the way",

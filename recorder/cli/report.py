@@ -1,4 +1,4 @@
-"""``cruiser review report``: a drive on one page, for people."""
+"""``cruiser review report``: make an HTML page of a drive."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review report logs -o report.html"
 DESCRIPTION: Final = (
-    "A report of a drive: summary, map of the path, speed, angle, mode and states on one time axis, stops, "
-    "refusals, whether the gateway died, what is missing, versions and configurations. As one HTML file that "
-    "needs no network. With --json and without -o nothing is written but the "
-    "summary. Exit code 3 if not all could be read."
+    "Make one HTML page of a drive, which needs no network: summary, map of the path, speed, angle, mode and "
+    "states over time, stops with their reasons, refusals, outages of the gateway, losses, versions and "
+    "configurations. With --json and without -o only the summary is printed. Exit code 3 if some data could not "
+    "be read."
 )
 
 DEFAULT_FILE: Final = "report.html"
 
 WHYS_MAX: Final = 100
-"""Stops whose reasons are looked for; each takes a tenth of a second."""
+"""Limit of stops that are explained; each takes a tenth of a second."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print the summary as JSON")
     add_period(parser)
-    parser.add_argument("--robot", metavar="NAME", help="this one alone, where the logs are of several")
+    parser.add_argument("--robot", metavar="NAME", help="only this robot")
     parser.add_argument(
         "-o",
         "--out",
         type=Path,
         metavar="FILE",
-        help=f"write there, an HTML file; {DEFAULT_FILE} unless told otherwise",
+        help=f"the HTML file to write (default: {DEFAULT_FILE})",
     )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Read, and write what is asked for."""
+    """Read the logs, then write the page and print the summary."""
     out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
     if out is not None and out.suffix != ".html":
         raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
@@ -69,12 +69,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         )
     if not report.robots and arguments.robot is not None:
         end_with(asked.faults)
-        raise CommandError(f"there is nothing of {plain(arguments.robot)} in these logs", ExitCode.USAGE)
+        raise CommandError(f"the logs hold nothing of {plain(arguments.robot)}", ExitCode.USAGE)
     if not report.robots:
         end_with(asked.faults)
-        raise CommandError(
-            "no state, decision or event of a robot is in these logs for this time: nothing to report"
-        )
+        raise CommandError("nothing to report: the logs hold no state, decision or event of a robot for this time")
     if out is not None:
         with progress_bar("why", asked.bytes, stopped) as progress:
             whys = reasons(report, asked.logs, progress)
@@ -84,14 +82,14 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _selection(asked: Asked, robot: str | None) -> Selection:
-    """Select what is asked about; of one robot its own messages and those of recorders."""
+    """The selection of the question; for one robot its messages and those of recorders."""
     if robot is None:
         return asked.selection
     return msgspec.structs.replace(asked.selection, wants=lambda topic: topic.robot in {robot, ""})
 
 
 def summary(report: Report) -> dict[str, Any]:
-    """Return all of a report but what is drawn."""
+    """A report without its charts."""
     fields: dict[str, Any] = msgspec.structs.asdict(report)
     fields["robots"] = [
         {
@@ -106,9 +104,9 @@ def summary(report: Report) -> dict[str, Any]:
 
 
 def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict[tuple[str, int], Why]:
-    """Explain the stops of a report, the first WHYS_MAX of them, by the robot's key and the time of the stop.
+    """Explain the first WHYS_MAX stops of a report, by the robot's key and the time of the stop.
 
-    What cannot be read of the logs has been reported by the reading before.
+    Faults of the logs were reported when they were read before.
     """
     found: dict[tuple[str, int], Why] = {}
     contents = survey(logs, Faults())
@@ -128,7 +126,7 @@ def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict
 
 
 def describe(report: Report, out: Path | None) -> Iterator[str]:
-    """Yield the summaries as lines for people, and where the page was written."""
+    """Yield the summaries as lines, and the path of the page."""
     for robot in report.robots:
         yield f"{robot.summary.name}: {verdict(robot)}"
         yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot, report))
@@ -137,7 +135,7 @@ def describe(report: Report, out: Path | None) -> Iterator[str]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole or not at all."""
+    """Write the whole file or nothing."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         try:

@@ -1,7 +1,7 @@
-"""``cruiser review``: finds the question, and asks it.
+"""``cruiser review``: find the question and run it.
 
-Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``, as commands have them.
-Some stand on large libraries, so it is imported only when it is asked for.
+Each question is a module with ``EXAMPLE``, ``DESCRIPTION``, ``add_arguments`` and ``run``, like a command. It is
+imported only when it is needed, since some load large libraries.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "find": ("recorder.cli.find", "find stops, incidents, events, drives and logs in directories"),
     "info": ("recorder.cli.info", "show what logs hold"),
     "check": ("recorder.cli.check", "check whether logs are whole, and what they lack"),
-    "events": ("recorder.cli.events", "list what happened, in order: stops, faults, refusals, and why"),
+    "events": ("recorder.cli.events", "list what happened, in order: stops, faults, refusals"),
     "why": ("recorder.cli.why", "explain why the robot stopped, or did not move, at a time"),
     "verify": (
         "recorder.cli.verify",
@@ -34,11 +34,11 @@ QUESTIONS: Final[dict[str, tuple[str, str]]] = {
     "cut": ("recorder.cli.cut", "cut a part out of a log, as a log"),
     "recover": ("recorder.cli.recover", "make logs whole that their recorder could not finish"),
 }
-"""Name of the question, its module, and its line in the help."""
+"""Each question's module, and its line in the help."""
 
 
 class _QuestionParser(argparse.ArgumentParser):
-    """A question's parser, which learns its flags when it is used."""
+    """A question's parser, which declares its flags when it is used."""
 
     def __init__(self, *, module: str, **given: Any) -> None:  # noqa: ANN401 - argparse's own arguments
         super().__init__(**given, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -58,14 +58,14 @@ class _QuestionParser(argparse.ArgumentParser):
             return super().parse_known_args(args, namespace)
         self._is_parsing = True
         try:
-            # Options may stand between a statement and the logs. It calls this method for its steps.
+            # Options may stand between a statement and the logs. This calls the present method again.
             return self.parse_known_intermixed_args(args, namespace)
         finally:
             self._is_parsing = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the questions; each declares its flags when it is asked."""
+    """Declare the questions."""
     questions = parser.add_subparsers(
         dest="question", required=True, metavar="QUESTION", parser_class=_QuestionParser
     )
@@ -74,6 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Answer."""
+    """Run the question."""
     module = import_module(QUESTIONS[arguments.question][0])
     return int(module.run(arguments, settings, stopped))

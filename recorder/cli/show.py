@@ -1,4 +1,4 @@
-"""Print what a command answers: JSON for programs, lines for people.
+"""Print an answer: JSON for programs, lines for people.
 
 Apart from ``asking``, so that ``cruiser upload`` loads no question.
 """
@@ -15,16 +15,13 @@ from schemas.command_line import plain
 
 
 def show(answer: object, lines: Iterable[str], *, as_json: bool) -> None:
-    """Print an answer.
-
-    Names in a log come from anywhere, and may try to rule the terminal: what cannot be printed is escaped.
-    """
+    """Print an answer. Names in a log may hold terminal commands: what cannot be printed is escaped."""
     shown = [json_line(answer)] if as_json else map(plain, lines)
     sys.stdout.writelines(f"{line}\n" for line in shown)
 
 
 def json_line(answer: object) -> str:
-    """Return an answer as JSON. Bytes of a file's name that are no text are escaped."""
+    """An answer as JSON. Bytes of a file's name that are not text are escaped."""
     try:
         return msgspec.json.encode(answer).decode()
     except UnicodeEncodeError:

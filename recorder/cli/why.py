@@ -1,4 +1,4 @@
-"""``cruiser review why``: why the robot stopped, or did not move."""
+"""``cruiser review why``: explain why the robot stopped, or did not move."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """\
-  cruiser review why logs                  # the last stop, or the death of a gateway at work
+  cruiser review why logs                  # the last stop, or the death of a gateway in command
   cruiser review why logs --at 23.3
   cruiser review why logs --at 03:04:05.678 --robot cruiser-1 --json | jq -r '.chain[].text'"""
 DESCRIPTION: Final = (
-    "Why the robot stopped, or did not move, at a time: what it did, what it was asked for, the frames, silences "
-    "and requests that led to the decision, what was done, what is latched, and what would cure it. What the log "
-    "does not show is said. Exit code 1 if the log does not tell what the arbiter did, or does not hold that "
-    "time; 3 if a file is not whole."
+    "Explain why the robot stopped, or did not move, at a time: its motion, the requests and frames that led to "
+    "the decision, the actions, what is latched, and the cure. What is not in the log is named. Exit code 1 if "
+    "the log does not show the arbiter, or does not cover that time; 3 if a file is not whole."
 )
 
-_LAST: Final = "the last stop, or the death of a gateway at work if that was later,"
+_LAST: Final = "the last stop, or the death of a gateway in command if that was later"
 
 _WIDTH: Final = 110
 
@@ -37,15 +36,15 @@ _WIDTH: Final = 110
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the flags."""
     add_logs(parser, json_help="print one JSON object, with the chain as data")
-    parser.add_argument("--at", metavar="TIME", help=f"the moment; {_LAST} if left out: {FORMS}")
-    parser.add_argument("--robot", metavar="NAME", help="whose, where the logs are of several")
+    parser.add_argument("--at", metavar="TIME", help=f"the moment (default: {_LAST}): {FORMS}")
+    parser.add_argument("--robot", metavar="NAME", help="the robot, if the logs hold several")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     """Explain."""
     asked = find(arguments, settings, stopped)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
-    # Of hundreds of robots the others' logs need not be opened.
+    # With hundreds of robots the others' logs need not be opened.
     logs = asked.logs if arguments.robot is None else logs_of(arguments.robot, asked.logs)
     found = survey(logs, asked.faults)
     robot = _robot(arguments.robot, found.robots, asked.faults)
@@ -57,17 +56,13 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
-    """The robot that is asked about.
-
-    Raises:
-        CommandError: there is none, or it is not clear which. What cannot be read of the logs is told before.
-    """
+    """The robot of the question. Raises CommandError if it is not clear, after printing the logs' faults."""
     shown = in_short(robots)
     if not robots:
         raise no_robot(faults)
     if name is None and len(robots) > 1:
         end_with(faults)
-        raise CommandError(f"the logs are of several robots: give --robot, one of {shown}", ExitCode.USAGE)
+        raise CommandError(f"the logs hold several robots: give --robot, one of {shown}", ExitCode.USAGE)
     if name is not None and name not in robots:
         end_with(faults)
         raise CommandError(f"the log holds nothing of {plain(name)}, but of {shown}", ExitCode.USAGE)
@@ -75,9 +70,9 @@ def _robot(name: str | None, robots: list[str], faults: Faults) -> str:
 
 
 def record_of(explanation: Explanation, start_ns: int) -> dict[str, Any]:
-    """The explanation as a JSON object: its own fields, and each time also in words and relative.
+    """The explanation as a JSON object, with each time also in words and relative.
 
-    ``since_s`` is since the beginning of the logs, ``from_at_s`` since the moment, negative before it.
+    ``since_s`` counts from the start of the logs, ``from_at_s`` from the moment, negative before it.
     """
     at_ns = explanation.at_ns
     chain = [
@@ -111,7 +106,7 @@ def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
 
 
 def chain_in_words(explanation: Explanation) -> Iterator[tuple[str, str, str, str]]:
-    """Yield each link: time since the moment and time of day, empty where it has none; step, and sentence."""
+    """Yield time since the moment, time of day (both may be empty), step and sentence of each link."""
     for link in explanation.chain:
         when, clock = "", ""
         if link.time_ns is not None:

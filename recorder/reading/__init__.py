@@ -1,1 +1,1 @@
-"""A log as topics and messages: what every question of the review reads through."""
+"""Logs as topics and messages, for all questions of the review."""

@@ -1,4 +1,4 @@
-"""Logs by their files: which there are, in the order of time, what they cover, and their faults."""
+"""Log files in the order of time, what they cover, and their faults."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from recorder.reading.topics import Declared
 from schemas import keys
 from schemas.command_line import CommandError, plain
 
-FAULTS_SHOWN: Final = 20  # faults that are listed one by one; the rest are only counted
+FAULTS_SHOWN: Final = 20  # more are only counted
 
 
-KNOWN_MAX: Final = 10_000  # so many are known again: a question may read a log more than once
+KNOWN_MAX: Final = 10_000  # a question may read a log more than once
 
 
 class Faults:
     """Gathers faults, each once.
 
     Attributes:
-        told: the first ones, in lines for people.
-        count: all of them.
+        told: the first ones.
+        count: the number of all.
     """
 
     def __init__(self) -> None:
@@ -60,7 +60,6 @@ class Faults:
             self.told.append(detail)
 
     def add_all(self, others: Faults) -> None:
-        """Those that somebody else found, in the same logs."""
         for detail in others._known:
             self.add(detail)
 
@@ -73,12 +72,12 @@ class LogFile(msgspec.Struct, frozen=True):
 
     Attributes:
         path: of the file.
-        bytes: its length when it was found.
-        start_ns, end_ns: the first and the last log time; both 0 if it holds no message.
-        robots: root and name of each robot, as far as they are known outside of chunks.
-        is_being_written: a recorder had it open when it was found; that it has no end yet is no fault.
-        namesakes: names that robots under several roots have, in this log or one that was found with it.
-        url: the address in an object store of which the file is a copy; empty if it is none.
+        bytes: its size when it was found.
+        start_ns, end_ns: the first and the last log time; both 0 without a message.
+        robots: root and name of each robot, as far as known outside of chunks.
+        is_being_written: a recorder had it open when it was found.
+        namesakes: names that robots of several roots share, in the logs that were found together.
+        url: the address in an object store that the file is a copy of; empty for none.
     """
 
     path: Path
@@ -99,15 +98,15 @@ class LogFile(msgspec.Struct, frozen=True):
 
     @property
     def is_incident(self) -> bool:
-        """It repeats what happened around an incident, and most of it is in a log too."""
+        """True for a file with the minutes around an incident, which repeats a part of a log."""
         return self.path.name.removesuffix(PART_SUFFIX).removesuffix(SUFFIX).endswith(INCIDENT_SUFFIX)
 
 
 def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
-    """Those that hold a robot, which may be called by its root too; all that hold anything where none says so."""
+    """The logs of a robot, named with or without its root; all logs with messages if none names it."""
     filled = [log for log in logs if log.end_ns]
     its = [log for log in filled if any(robot in {name, f"{root}/{name}"} for root, name in log.robots)]
-    # A file that is not whole may not tell whose it is.
+    # An unfinished file may not name its robots.
     return [log for log in filled if log in its or not log.robots] or filled
 
 
@@ -118,11 +117,9 @@ ANY_TIME: Final[Window] = (0, 2**64 - 1)
 
 
 def without_covered(logs: Sequence[LogFile]) -> list[LogFile]:
-    """The logs of a directory but for the incidents whose every message others of them hold.
+    """The logs of a directory without the incidents whose messages are all in its other logs.
 
-    A message is known by its topic and the time at which the recorder received it. A file that is damaged, or
-    whose recorder lost something, holds less than the incident, which is then kept. What is in question is
-    unpacked, and held against its checksums; nothing is decoded.
+    Messages are compared by topic and log time, in chunks with valid checksums.
     """
     incidents = [log for log in logs if log.is_incident and log.end_ns]
     others = [log for log in logs if not log.is_incident]
@@ -136,7 +133,7 @@ def without_covered(logs: Sequence[LogFile]) -> list[LogFile]:
 
 
 def _add(held: Times, times: Times) -> None:
-    """Add the messages of another log. Two copies of a message count as one."""
+    """Add the messages of another log, each once."""
     for topic, more in times.items():
         known = held.get(topic)
         if known is None:
@@ -155,7 +152,7 @@ def _holds(held: array[int], times: array[int]) -> bool:
 
 
 def _times_in(log: LogFile, windows: Sequence[Window]) -> list[Times]:
-    """For each window the log times of what a log holds in it and can be read, in their order."""
+    """The sorted log times of a log's readable messages in each window."""
     found: list[dict[int, array[int]]] = [{} for _ in windows]
     declared = Declared()
     with suppress(OSError), log.open() as stream:
@@ -189,7 +186,7 @@ def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
 
 
 def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declared: Declared) -> Index:
-    """Return the places of a piece's messages; none for a chunk that lies in no window, or is damaged."""
+    """The places of a piece's messages; empty for a chunk outside all windows, or a damaged one."""
     if isinstance(piece, PackedChunk):
         if not any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
             return {}
@@ -212,15 +209,10 @@ def find_logs(
     with_covered: bool = False,
     stored: Sequence[LogFile] = (),
 ) -> list[LogFile]:
-    """The logs at these paths, by their beginning.
+    """The logs at these paths (files, or directories of logs), by their start.
 
-    Args:
-        paths: files, and directories whose logs are taken, whole or still being written. Of a directory an
-            incident is left out if its other logs hold every message of it, and can be read.
-        stored: copies of logs of object stores that are asked about with them.
-
-    Raises:
-        CommandError: there is nothing to read.
+    ``with_covered``: with incidents of a directory that its other logs cover. ``stored``: copies of logs of object
+    stores. Raises CommandError if there is no log.
     """
     found: dict[Path, LogFile] = {}
     failure: CommandError | None = None
@@ -242,7 +234,7 @@ def find_logs(
 
 
 def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:
-    """The logs, with the names that robots under several roots have in them."""
+    """The logs with their ``namesakes``."""
     roots = Counter(name for _, name in {robot for log in logs for robot in log.robots})
     namesakes = frozenset(name for name, count in roots.items() if count > 1)
     return [msgspec.structs.replace(log, namesakes=namesakes) for log in logs] if namesakes else logs
@@ -264,7 +256,7 @@ def _robots(channels: Sequence[records.Channel]) -> frozenset[tuple[str, str]]:
 def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
     shown = plain(str(path))
     try:
-        # Before it is opened: opening a FIFO waits for somebody who writes to it.
+        # Before it is opened: opening a FIFO would wait for a writer.
         mode = path.stat().st_mode
         if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
             raise CommandError(f"{shown} is no regular file")
@@ -280,7 +272,7 @@ def open_log(path: Path) -> Generator[tuple[BinaryIO, int], None, None]:
 
 
 def is_being_written(stream: BinaryIO) -> bool:
-    """Return True if a recorder holds its lock on the file. False where the file system has no locks."""
+    """True if a recorder holds its lock on the file; False if the file system has no locks."""
     try:
         fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
         fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
@@ -292,7 +284,7 @@ def is_being_written(stream: BinaryIO) -> bool:
 
 
 def _span(stream: BinaryIO, size: int) -> tuple[int, int, list[records.Channel]]:
-    """First and last log time, and channels: by the summary if there is one, else by what is outside of chunks."""
+    """First and last log time, and the channels, by the summary or by the records outside of chunks."""
     summary = read_summary(stream)
     if summary is not None and summary.statistics is not None:
         counts = summary.statistics

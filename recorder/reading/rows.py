@@ -1,10 +1,10 @@
-"""Messages of logs as rows in the order of their log times, of wanted topics and a wanted time alone.
+"""Messages of logs as rows in the order of log times, of the wanted topics and time.
 
-A chunk that holds nothing wanted is not read from the disk, if the file has message indexes. Memory does not grow
-with a log: of each open file one chunk is held.
+Unwanted chunks are not read from the disk, if the file has message indexes. Memory does not grow with a log: one
+chunk is held of each open file.
 
-``Contents`` is a file without its messages: from the summary at its end, with a look at the first and the last
-message index of each channel; or, where that does not tell all, record by record.
+``Contents`` is a file without its messages, read from its summary and the first and last message index of each
+channel; or, if that is incomplete, record by record.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ class Selection(msgspec.Struct, frozen=True):
 
     Attributes:
         wants: a test of topics.
-        from_ns: the first log time, in nanoseconds since 1970...
-        to_ns: ...and the first one that is too late.
+        from_ns, to_ns: log times, from the first wanted one to the first one beyond.
     """
 
     wants: Wants = every_topic
@@ -72,7 +71,7 @@ class Row(msgspec.Struct, frozen=True, gc=False):
 
     Attributes:
         log_ns: when the recorder received it.
-        publish_ns: when its source says that it was.
+        publish_ns: when it was published, by its source's clock.
     """
 
     topic: Topic
@@ -88,7 +87,7 @@ def read_rows(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> Iterator[Row]:
-    """The rows of logs, merged by log time. A file is opened when its time has come."""
+    """The rows of logs, merged by log time. A file is opened when its time comes."""
     wanted = [log for log in logs if log.start_ns < selection.to_ns and log.end_ns >= selection.from_ns]
     groups: list[list[LogFile]] = []
     ends_ns = -1
@@ -98,7 +97,7 @@ def read_rows(
         groups[-1].append(log)
         ends_ns = max(ends_ns, log.end_ns)
     for group in groups:
-        # Only what overlaps in time needs to be open at the same time.
+        # Only logs that overlap in time are open at the same time.
         rows = (_rows_from(log, selection, faults, progress) for log in group)
         yield from merge(*rows, key=attrgetter("log_ns"))
 
@@ -109,9 +108,9 @@ def decoded_rows(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> Iterator[tuple[Row, Any]]:
-    """Read the rows of logs, as ``read_rows`` does, each with its message; None where nobody here can read such.
+    """Read rows as ``read_rows`` does, each with its message; None without a decoder for it.
 
-    What is not of its schema is a fault, and left out.
+    A message that does not match its schema is a fault, and left out.
     """
     for row in read_rows(logs, selection, faults, progress):
         decode = row.topic.decode
@@ -133,14 +132,12 @@ def _rows_from(log: LogFile, selection: Selection, faults: Faults, progress: Pro
 
 
 class BlockReader:
-    """Reads what may hold something wanted of one log: chunks, unpacked, and messages outside of chunks.
+    """Reads the blocks of a log that may hold wanted messages: unpacked chunks, and messages outside of chunks.
 
     Attributes:
-        name: of the log.
-        topics: by channel id, those known so far.
+        topics: by channel id, as far as the log has been read.
         wanted: those of them that are wanted.
-        metadata: name and entries of each metadata record met so far.
-        attachments: those met so far.
+        metadata: name and entries of each record.
     """
 
     def __init__(self, stream: BinaryIO, log: LogFile, selection: Selection, faults: Faults) -> None:
@@ -155,11 +152,11 @@ class BlockReader:
         self.wanted: dict[int, Topic] = {}
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.attachments: list[records.Attachment] = []
-        # Others declare channels within chunks; the summary repeats them.
+        # Other writers declare channels within chunks; the summary repeats them.
         self._want(self._declared.take_summary(read_summary(stream)))
 
     def blocks(self, progress: Progress = lambda _: None) -> Iterator[tuple[MessageBlock, Index | None]]:
-        """The blocks in the order of the file, each with what its index says, if it has one."""
+        """The blocks in the order of the file, each with its index, if it has one."""
         read_to = 0
         for piece in read_pieces(self._stream, self._size, is_verifying=False):
             match piece:
@@ -188,17 +185,15 @@ class BlockReader:
             self._want(self._declared.take(piece))
 
     def fault(self, detail: str) -> None:
-        """Something of the log cannot be read."""
         self._faults.add(f"{self.name}: {detail}")
 
     def wrong_index(self, block: MessageBlock) -> None:
-        """The message indexes of a block do not fit its messages."""
         self.take(Fault(block.offset, "the message indexes behind a chunk are wrong"))
 
     def _unpacked(self, chunk: PackedChunk) -> Iterator[tuple[MessageBlock, Index | None]]:
         index = chunk.index
         if index is not None:
-            # Without an index its head is all there is to go by, which may be wrong.
+            # Without an index there is only the chunk's head, which may be wrong.
             if chunk.start_ns >= self.selection.to_ns or chunk.end_ns < self.selection.from_ns:
                 return
             if not any(channel in self.wanted or channel not in self.topics for channel in index):
@@ -247,13 +242,11 @@ class Contents(msgspec.Struct):
     """The contents of a file.
 
     Attributes:
-        schemas, channels: by id.
-        counts: messages of each channel.
-        spans: the first and the last log time of each channel.
-        start_ns, end_ns: the first and the last log time of all; None if there is no message.
+        counts: number of messages by channel id.
+        spans: first and last log time by channel id.
+        start_ns, end_ns: first and last log time; None without a message.
         metadata: name and entries of each record, in the order of the file.
-        attachments: name, media type and length of each.
-        faults: those of the file.
+        attachments: name, media type and size of each.
         has_ended: it was closed properly.
     """
 
@@ -273,7 +266,7 @@ class Contents(msgspec.Struct):
 
 
 def read_contents(stream: BinaryIO) -> Contents | None:
-    """Return the contents by the summary; None if there is none, or it is not complete."""
+    """The contents by the summary; None without a complete one."""
     summary = read_summary(stream)
     if summary is None or summary.statistics is None or not tells_all(summary, summary.statistics):
         return None
@@ -313,7 +306,7 @@ def read_contents(stream: BinaryIO) -> Contents | None:
 def walk_contents(
     stream: BinaryIO, size: int, progress: Progress = lambda _: None, *, is_being_written: bool = False
 ) -> Contents:
-    """Return the contents by a scan, record by record. Nothing in the file raises."""
+    """The contents by a scan, record by record. Nothing in the file raises."""
     contents = Contents()
     read_to = 0
     for piece in read_pieces(stream, size, is_verifying=False):
@@ -327,7 +320,7 @@ def walk_contents(
 
 
 def tells_all(summary: LogSummary, statistics: records.Statistics) -> bool:
-    """Report whether it repeats every schema and channel, and holds every index."""
+    """True if the summary repeats every schema and channel, and holds every index."""
     return (
         len(summary.schemas) >= statistics.schema_count
         and len(summary.channels) >= statistics.channel_count
@@ -338,7 +331,7 @@ def tells_all(summary: LogSummary, statistics: records.Statistics) -> bool:
 
 
 def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict[int, int]] | None:
-    """Return the offsets of each channel's first and last message index; None if chunks are not in time order."""
+    """The offsets of each channel's first and last message index; None if chunks are not in time order."""
     first: dict[int, int] = {}
     last: dict[int, int] = {}
     start_ns = end_ns = 0
@@ -355,7 +348,7 @@ def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict
 
 
 def _times(stream: BinaryIO, channel_id: int, offset: int, contents: Contents) -> list[int]:
-    """The log times of a message index; none if it is not there."""
+    """The log times of a message index; empty if it is not there."""
     record = _record(stream, offset, records.MessageIndex)
     if record is not None and record.channel_id == channel_id and record.records:
         return [time_ns for time_ns, _ in record.records]
@@ -375,7 +368,7 @@ def _take(contents: Contents, piece: Piece) -> None:
         case PackedChunk() if piece.index is not None and piece.index.keys() <= contents.channels.keys():
             _count(contents, piece.index, piece.offset)
         case PackedChunk() | MessageBlock():
-            # Others declare channels within chunks.
+            # Other writers declare channels within chunks.
             index, others = piece.read_index()
             for one in others:
                 _take(contents, one)
@@ -383,7 +376,6 @@ def _take(contents: Contents, piece: Piece) -> None:
         case records.Schema():
             contents.schemas.setdefault(piece.id, piece)
         case records.Channel():
-            # The summary repeats them.
             contents.channels.setdefault(piece.id, piece)
         case records.Attachment():
             contents.attachments.append((piece.name, piece.media_type, len(piece.data)))
@@ -398,7 +390,7 @@ def _take(contents: Contents, piece: Piece) -> None:
 
 
 def _count(contents: Contents, index: Index, offset: int) -> None:
-    """Takes messages by their index: log times and offsets in turns."""
+    """Count messages by their index, which alternates log times and offsets."""
     for channel_id, entries in index.items():
         if not entries:
             continue
@@ -427,7 +419,7 @@ def place_of(topic: Topic) -> tuple[str, str]:
 
 
 def table_of(topic: Topic) -> str:
-    """``can/can0/rx`` is ``can_rx``, whatever the bus is called: a column says that."""
+    """The name of a topic's table, without the bus, which is a column: ``can/can0/rx`` is ``can_rx``."""
     if topic.kind is RawSample:
         return "raw_sample"
     name = topic.name
@@ -442,7 +434,7 @@ def table_of(topic: Topic) -> str:
 
 
 def wants_of(patterns: Sequence[str]) -> Wants:
-    """Return a test of a topic by its name, its part behind the robot, or its table; without patterns all pass."""
+    """A test of topics by name, by the part after the robot, or by table; without patterns all pass."""
 
     def wants(topic: Topic) -> bool:
         names = (topic.name, place_of(topic)[0], table_of(topic))
@@ -452,9 +444,9 @@ def wants_of(patterns: Sequence[str]) -> Wants:
 
 
 def file_name(topic: str) -> str:
-    """``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``; what a name may not hold is escaped as in a URL."""
+    """The file name of a topic: ``fleet/cruiser-1/state`` is ``fleet.cruiser-1.state``, escaped as in a URL."""
     chunks = [quote(chunk, safe="@ ", errors="replace").replace(".", "%2E") for chunk in topic.split("/")]
     name = ".".join(chunks)
-    # ROS's topics begin with a slash. A name with a dot in front is a hidden file's, one with a dash an option.
+    # A leading slash (ROS) would give a hidden file; a leading dash looks like an option.
     first = {".": "%2F", "-": "%2D"}.get(name[:1], name[:1])
     return f"{first}{name[1:]}"[:200] or "%"

@@ -1,4 +1,4 @@
-"""A first look through logs: topics, metadata and attachments without any chunk, and the runs' configurations."""
+"""A first look at logs, without their chunks: topics, metadata, attachments, and the runs' configurations."""
 
 from __future__ import annotations
 
@@ -20,16 +20,15 @@ from schemas.messages import GatewayInfo
 from schemas.settings import Settings
 
 FORMER_DIGEST: Final = "cruiser.events"
-"""The attachment in which logs of earlier versions repeat their events; nothing reads it any more."""
+"""The attachment in which logs of earlier versions repeat their events; it is ignored."""
 
 
 class Survey(msgspec.Struct):
     """Topics, metadata and attachments of some logs.
 
     Attributes:
-        topics: by name.
         metadata: name and entries of each record, in the order of the files.
-        attachments: all of them by their log time, but for the digest of events.
+        attachments: by log time, without the digest of events.
     """
 
     topics: dict[str, Topic]
@@ -55,7 +54,7 @@ def survey(logs: Sequence[LogFile], faults: Faults) -> Survey:
 
 
 def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
-    """Return True if the file's end gave all."""
+    """True if the file's end holds everything."""
     summary = read_summary(stream)
     if summary is None:
         return False
@@ -90,34 +89,34 @@ CONFIGURATION: Final = "configuration.toml"  # the attachment ``{robot}/configur
 INFO: Final = "gateway/info"
 
 ANSWERED_NS: Final = 30_000_000_000
-"""A gateway that starts publishes its configuration to a running recorder within this time."""
+"""A running recorder gets the configuration of a starting gateway within this time."""
 
 TEXTS_MAX: Final = 64 * 1024 * 1024
-"""The length of all configurations of a robot that are kept; one has two thousand characters."""
+"""Limit of the size of all configurations of a robot; one has two thousand characters."""
 
-STARTED_NS: Final = 1_000_000_000  # a run's first journal is published so soon after its gateway was started
+STARTED_NS: Final = 1_000_000_000  # from a gateway's start to its first journal
 
 
 class Configurations(msgspec.Struct, frozen=True):
     """Configurations of one robot, as TOML. Times are nanoseconds since 1970.
 
     Attributes:
-        told: start times of gateways that published their configuration, each with the text; in order of time.
-        attached: times at which a recorder attached a configuration, each with the text; in order of time.
+        told: start times of gateways and the configuration that each published, by time.
+        attached: times at which a recorder attached a configuration, and the text, by time.
     """
 
     told: list[tuple[int, str]]
     attached: list[tuple[int, str]]
 
     def at(self, began_ns: int) -> str | None:
-        """The one that was in force in the run that began then; None if the log does not hold it."""
+        """The configuration of the run that began then; None if it is not in the log."""
         told = [text for started_ns, text in self.told if started_ns <= began_ns + STARTED_NS]
         if told:
             return told[-1]
         before = [text for time_ns, text in self.attached if time_ns < began_ns]
         soon = [text for time_ns, text in self.attached if began_ns <= time_ns < began_ns + ANSWERED_NS]
         later = [text for time_ns, text in self.attached if time_ns >= began_ns + ANSWERED_NS]
-        # A recorder writes a configuration when it is new to it, and may have come long after the gateway.
+        # A recorder attaches a configuration when it is new to it, which may be long after the gateway's start.
         return next(iter(soon[:1] + before[-1:] + later[:1]), None)
 
 
@@ -135,11 +134,11 @@ def configurations_of(robot: str, logs: Sequence[LogFile], found: Survey, faults
 
 
 def attached(robot: str, found: Survey) -> list[tuple[int, str]]:
-    """Return the configurations of a robot that recorders attached, each with its time, in order of time."""
+    """The configurations of a robot that recorders attached, with their times, by time."""
     texts: dict[str, list[tuple[int, str]]] = {}
     for one in found.attachments:
         texts.setdefault(one.name, []).append((one.log_time, one.data.decode("utf-8", "replace")))
-    # A recorder calls only the second robot of a name by its root too.
+    # A recorder adds the root only to the second robot of a name.
     bare = f"{robot.rpartition('/')[2]}/{CONFIGURATION}"
     return texts.get(f"{robot}/{CONFIGURATION}", texts.get(bare, []))
 

@@ -1,4 +1,4 @@
-"""Times as people write and read them. In a log they are nanoseconds since 1970."""
+"""Times as people write and read them; in a log they are nanoseconds since 1970."""
 
 from __future__ import annotations
 
@@ -21,13 +21,11 @@ _DATE: Final = re.compile(r"(\d{4}-[^.]*)(?:\.(\d{1,9}))?([+-]\d\d:?\d\d|Z)?")
 
 
 def time_of(text: str, start_ns: int, end_ns: int) -> int:
-    """A time in a log.
+    """A time in a log, written in one of FORMS.
 
-    Args:
-        text: see FORMS. A time of day is the first such after the beginning, if the log reaches so far; else
-            that of the day on which the log begins.
+    A time of day is the first one after the log's start, if the log reaches that far; else that of its first day.
     """
-    text = text.removesuffix(" UTC")  # As these commands print it.
+    text = text.removesuffix(" UTC")  # as the commands print it
     if match := _SECONDS.fullmatch(text):
         sign, whole, part = match.groups()
         offset_ns = int(whole) * _NS_PER_S + _fraction_ns(part)
@@ -46,11 +44,11 @@ def time_of(text: str, start_ns: int, end_ns: int) -> int:
 
 
 def date_of(text: str) -> int | None:
-    """A date, or both date and time, in nanoseconds since 1970; None if it is none. UTC unless it names a zone."""
+    """A date, or date and time, by default in UTC; None if it is neither."""
     match = _DATE.fullmatch(text)
     if match is None:
         return None
-    # The calendar's own times end at the microsecond.
+    # datetime has no nanoseconds.
     date, fraction, zone = match.groups()
     try:
         moment = datetime.fromisoformat(date + (zone or ""))
@@ -66,7 +64,7 @@ def _fraction_ns(digits: str | None) -> int:
 
 
 def in_words(time_ns: int) -> str:
-    """A time for people; MCAP's times reach further than the calendar's."""
+    """A time in words; in nanoseconds if it is beyond the calendar."""
     try:
         whole = datetime.fromtimestamp(time_ns // _NS_PER_S, UTC)
     except (ValueError, OverflowError, OSError):

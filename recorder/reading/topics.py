@@ -1,11 +1,10 @@
-"""Topics of a log and their decoders, of other versions too.
+"""Topics of a log and their decoders, also for logs of other versions.
 
-Numbers of fields are places in a class, and those of values places in an enumeration: what is added goes to the
-end. So an older log lacks what came later, and a newer one has more. Where a number means something else, the
-messages are read by the log's own schema alone, as anybody else's.
+New fields and values are added at the end, so an older log has fewer and a newer one more. If a number means
+something else, messages are read by the log's own schema.
 
-A message of ours becomes the typed class that it was (``schemas``); anybody else's protobuf a protobuf message,
-JSON what ``json`` makes of it; of any other encoding only the bytes are known.
+Our messages become classes of ``schemas``, other protobuf a protobuf message, JSON what ``json`` makes of it; for
+any other encoding there is no decoder.
 """
 
 from __future__ import annotations
@@ -39,17 +38,17 @@ from schemas.codec import member_of
 from schemas.recording import LOG_CHUNK, RAW_CHUNK
 
 RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
-"""Values of enumerations that older logs call otherwise."""
+"""Values of enumerations with another name in older logs."""
 
 PROTO3: Final = "proto3"
-"""The syntax of our schemas. In another one a field that is not in a record may have any value."""
+"""The syntax of our schemas. In another one a missing field may have any value."""
 
 _KEPT: Final = 256
 
 
 @lru_cache(_KEPT)
 def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
-    """Report whether what a log's schema and the one of this version have in common means the same."""
+    """True if the common part of a log's schema and this version's means the same."""
     if descriptors == descriptor_set(kind):
         return True
     try:
@@ -59,7 +58,7 @@ def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
     files = FileDescriptorSet.FromString(descriptor_set(kind)).file
     messages = {name: one for file in files for name, one in _by_name(file.package, file.message_type)}
     enums = {(file.package, one.name): one for file in files for one in file.enum_type}
-    # All of theirs: one that fits, of the same name, may stand beside one by which others read.
+    # All of theirs: a schema may hold a message that fits beside another one of its name.
     return (
         all(file.syntax == PROTO3 and not file.extension for file in theirs.file)
         and all(
@@ -77,7 +76,7 @@ def means_the_same(kind: type[msgspec.Struct], descriptors: bytes) -> bool:
 
 @lru_cache(_KEPT)
 def newer_members(kind: type[Enum], descriptors: bytes) -> tuple[Enum, ...]:
-    """Members made for the values that an enumeration has more in a log's schema, in their order."""
+    """Members for the additional values of an enumeration in a log's schema, in order."""
     prefix = f"{snake_case(kind.__name__).upper()}_"
     words = [
         value.name.removeprefix(prefix).lower()
@@ -98,7 +97,7 @@ def _by_name(package: str, messages: Iterable[DescriptorProto]) -> Iterable[tupl
 
 
 def _fits(ours: DescriptorProto, theirs: DescriptorProto) -> bool:
-    """A field of both is the same in all that its descriptor says."""
+    """True if common fields have equal descriptors."""
     mine = {one.number: one for one in ours.field}
     numbers = {one.name: one.number for one in ours.field}
     return theirs.options == ours.options and all(
@@ -119,17 +118,17 @@ def _numbers_fit(ours: EnumDescriptorProto, theirs: EnumDescriptorProto) -> bool
 
 
 UNREADABLE: Final = (DecodeError, ValueError, TypeError, KeyError, IndexError, RecursionError)
-"""The exceptions that decoding raises on bytes that are no message of the expected type."""
+"""The exceptions of decoding bytes that are no message of the expected type."""
 
 Decode = Callable[[bytes], Any]
 
 DECODERS_KEPT: Final = 256
 
 RECONSTRUCTED_CHUNK: Final = "@reconstructed"
-"""Earlier versions put samples that they made again out of a journal on the topic ``{key}/@reconstructed``."""
+"""Earlier versions wrote samples reconstructed from a journal to the topic ``{key}/@reconstructed``."""
 
 _SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK, RECONSTRUCTED_CHUNK)
-"""The last chunks of topics that are made beside the one of a key."""
+"""The last chunks of topics beside the topic of a key."""
 
 _BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}
 
@@ -139,17 +138,14 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         name: the channel's topic; in a log of ours the Zenoh key.
-        schema: the schema's name; empty if the channel has none.
+        schema: the schema's name; empty without a schema.
         encoding: of the messages, by MCAP's registry: ``protobuf``, ``json``, ``cdr``, ...
-        schema_encoding: of the schema.
-        schema_data: the schema.
-        kind: the class of the messages if they are ours, of whatever version, else None.
-        robot: the robot's name if the topic is a key of ours, else empty; with its root before it where the logs
-            are of several robots of this name.
-        owner: the same, but also for what a recorder writes beside the topic of a key.
-        subject: the name in the table of subjects, for such a key; else empty.
-        decode: a message's bytes to the message; raises what UNREADABLE lists. None if nobody here can read them.
-        metadata: of the channel.
+        kind: the class of our messages, of any version; else None.
+        robot: the robot's name if the topic is a key of ours, with its root if several robots share the name; else
+            empty.
+        owner: the same, but also for a topic beside that of a key.
+        subject: the name in the table of subjects; empty if the topic is no key.
+        decode: decodes a message, or raises one of UNREADABLE; None without a decoder.
     """
 
     name: str
@@ -168,7 +164,7 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
 def topic_of(
     channel: records.Channel, schema: records.Schema | None, namesakes: frozenset[str] = frozenset()
 ) -> Topic:
-    """The topic of a channel record; with the names that robots under several roots have."""
+    """The topic of a channel record."""
     name = "" if schema is None else schema.name
     is_protobuf = channel.message_encoding == "protobuf"
     kind = _BY_SCHEMA.get(name) if is_protobuf else None
@@ -199,11 +195,7 @@ def topic_of(
 
 
 class Declared:
-    """The topics of one log, as far as its records have declared them; each channel counts once.
-
-    Attributes:
-        topics: by channel id.
-    """
+    """The topics of a log by channel id, as far as its records have declared them."""
 
     def __init__(self, namesakes: frozenset[str] = frozenset()) -> None:
         self.topics: dict[int, Topic] = {}
@@ -211,7 +203,7 @@ class Declared:
         self._namesakes = namesakes
 
     def take(self, record: records.Schema | records.Channel) -> list[tuple[int, Topic]]:
-        """The channel id and the topic, if it is new."""
+        """Add a record. Returns channel id and topic if they are new."""
         if isinstance(record, records.Schema):
             self._schemas.setdefault(record.id, record)
             return []
@@ -222,7 +214,7 @@ class Declared:
         return [(record.id, topic)]
 
     def take_summary(self, summary: LogSummary | None) -> list[tuple[int, Topic]]:
-        """Those that the summary repeats. Other people's recorders declare channels within chunks only."""
+        """Add the records of the summary: other writers may declare channels only within chunks."""
         if summary is None:
             return []
         found: list[records.Schema | records.Channel] = [*summary.schemas.values(), *summary.channels.values()]
@@ -230,24 +222,21 @@ class Declared:
 
 
 def key_of(topic: str) -> tuple[str, str]:
-    """The key whose samples a topic is about, and what was added to it: nothing, ``/log``, ``/@raw``, ..."""
+    """The key of a topic, and its suffix: empty, ``/log``, ``/@raw``, ..."""
     key, _, last = topic.rpartition("/")
     return (key, f"/{last}") if last in _SIDE_CHUNKS else (topic, "")
 
 
 def robot_of(parts: keys.KeyParts, namesakes: frozenset[str]) -> str:
-    """Return the label of a key's robot: its name, or root and name if robots of other roots share the name."""
+    """The name of a key's robot, with its root if robots of other roots share the name."""
     return f"{parts.root}/{parts.robot}" if parts.robot in namesakes else parts.robot
 
 
 @lru_cache(DECODERS_KEPT)
 def typed_decoder(kind: type[msgspec.Struct], descriptors: bytes = b"") -> Decode:
-    """Return the decoder of a record's protobuf bytes into the class that it was written from.
+    """The decoder of protobuf bytes into a class; missing fields have protobuf's defaults.
 
-    Fields that the record lacks, because an older version wrote it, have protobuf's defaults.
-
-    Args:
-        descriptors: the schema of another version; its enumerations may have values that ours have not.
+    ``descriptors``: the schema of another version, whose enumerations may have more values.
     """
     read: Any = message_class(kind).FromString
     build = _builder(kind, descriptors)
@@ -255,7 +244,7 @@ def typed_decoder(kind: type[msgspec.Struct], descriptors: bytes = b"") -> Decod
 
 
 def _builder(kind: type[msgspec.Struct], descriptors: bytes) -> Callable[[Any], Any]:
-    """Turns a protobuf message into the class, by an expression that is compiled once."""
+    """Compile the conversion of a protobuf message into the class."""
     names: dict[str, Any] = {"Kind": kind}
     parts = [_expression(name, field, names, descriptors) for name, _, field in fields(kind)]
     source = f"lambda m: Kind({', '.join(parts)})"
@@ -276,7 +265,7 @@ def _expression(name: str, field: inspect.Type, names: dict[str, Any], descripto
 
 def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any], descriptors: bytes) -> str:
     if isinstance(field, inspect.EnumType):
-        # A dictionary: in a list a number below zero would be that of another member.
+        # A dictionary: in a list a negative number would find another member.
         names[f"of_{name}"] = dict(enumerate([*field.cls, *newer_members(field.cls, descriptors)]))
         return f"of_{name}[{value}]"
     if isinstance(field, inspect.StructType):
@@ -287,7 +276,7 @@ def _converted(value: str, name: str, field: inspect.Type, names: dict[str, Any]
 
 @cache
 def _well_known() -> dict[str, FileDescriptorProto]:
-    """Return the files of protobuf's well-known types, by their names."""
+    """The files of protobuf's well-known types by name."""
     kinds = ("any", "duration", "empty", "field_mask", "struct", "timestamp", "wrappers")
     modules = (import_module(f"google.protobuf.{kind}_pb2") for kind in kinds)
     files = (FileDescriptorProto.FromString(module.DESCRIPTOR.serialized_pb) for module in modules)
@@ -295,17 +284,17 @@ def _well_known() -> dict[str, FileDescriptorProto]:
 
 
 def foreign_decoder(name: str, descriptors: bytes) -> Decode | None:
-    """By the descriptor set that the log holds; None if that is of no use."""
+    """The decoder by the log's descriptor set; None if that is unusable."""
     found = foreign_class(name, descriptors)
     return None if found is None else found.FromString
 
 
 def foreign_class(name: str, descriptors: bytes) -> Any:  # noqa: ANN401 - protobuf makes the class at run time
-    """The protobuf package's class by the descriptor set that the log holds; None if that is of no use."""
+    """The protobuf class by the log's descriptor set; None if that is unusable."""
     pool = DescriptorPool()
     try:
         files = {file.name: file for file in FileDescriptorSet.FromString(descriptors).file}
-        # Others put them in any order, and leave the well-known ones out.
+        # Other writers use any order, and leave the well-known files out.
         if any(needed not in files for file in files.values() for needed in file.dependency):
             files = _well_known() | files
         for file_name in TopologicalSorter({file.name: file.dependency for file in files.values()}).static_order():

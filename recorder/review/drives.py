@@ -1,6 +1,6 @@
-"""The drives of a robot: distances, stops, ends and the worst moment, from its samples and its entries. Pure.
+"""The drives of a robot: distances, stops, ends and the worst moment, from its samples and entries. Pure.
 
-Report, catalog and searches print these figures, so there is one number of each. Memory does not grow with a log.
+Report, catalog and searches share these figures. Memory does not grow with a log.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from schemas.messages import Odometry
 from schemas.reasons import Reason
 
 REST_NS: Final = 600_000_000_000
-"""A rest that is shorter belongs to the drive."""
+"""A shorter rest belongs to the drive."""
 
 MARGIN_NS: Final = 10_000_000_000
-"""The time before and behind a drive that belongs to it: what led to it, and how its stop ended."""
+"""The time before and after a drive that belongs to it: what led to it, and how its stop ended."""
 
 DRIVES_MAX: Final = 500
-"""The first so many are told one by one; more are counted."""
+"""Limit of drives that are listed; others are only counted."""
 
 CLOCK_STEP_NS: Final = 600_000_000_000
-"""A source's time that goes back further was set anew; one that goes back less is of a sample there before."""
+"""A time that goes back further is a step of the clock; one that goes back less, a repeated sample."""
 
 STANDING_MPS: Final = 0.02
 JUMP_MPS: Final = 0.5
-"""No robot changes its speed by more from one sample to the next: that is a wrong scale, or a wrong frame."""
+"""A larger change from one sample to the next is a wrong scale or frame, not motion."""
 
 SPEED_MAX_MPS: Final = 100.0
 
 DIED: Final = "gateway_died"
-"""The cause of a stop of which no more is known."""
+"""The cause of a stop without a known reason."""
 
 BY_OPERATORS: Final = frozenset(
     {Reason.REMOTE_STOP.value, Reason.HAND_TRANSMITTER.value, Reason.LEASE_TAKEN.value}
 )
-"""Causes of stops that are somebody's doing; all others are faults."""
+"""Causes of stops by operators; all others are faults."""
 
 ENTRIES_MAX: Final = 2000
 ERRORS_MAX: Final = 500
-"""Errors that are kept beyond these: a thousand leases must not hide a gateway that died."""
+"""Errors kept beyond these: a thousand leases must not hide a gateway that died."""
 
 GAPS_MAX: Final = 200
 
@@ -56,12 +56,12 @@ _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
 
 def operators_stops(stops: Mapping[str, int]) -> int:
-    """Return how many of these stops, by cause, were made by operators."""
+    """The number of stops by operators among these, by cause."""
     return sum(count for cause, count in stops.items() if cause in BY_OPERATORS)
 
 
 class RecordedWay(DeadReckoning):
-    """The way of a robot since the first sample: by its own odometry, or by its speeds where the log has none."""
+    """The robot's path since the first sample: by its own odometry, or by its speeds if the log has none."""
 
     def __init__(self) -> None:
         super().__init__(CHASSIS.wheelbase_m)
@@ -69,7 +69,7 @@ class RecordedWay(DeadReckoning):
         self._said_ns = 0
 
     def follow(self, said: Odometry, time_ns: int) -> None:
-        """Go on as the robot's odometry did since its last sample. Another gateway, or a reset, begins anew."""
+        """Move as the robot's odometry did since its last sample; a restart or a reset continues from here."""
         before, self._said, self._said_ns = self._said, said, time_ns
         self.last_ns = None
         if (
@@ -86,19 +86,19 @@ class RecordedWay(DeadReckoning):
         self.distance_m += said.distance_m - before.distance_m
 
     def move(self, time_ns: int, speed_mps: float | None, angle_deg: float | None) -> None:
-        """Go on to a sample of ``state``, unless the odometry has told of this time."""
+        """Move to a sample of ``state``, unless the odometry covers this time."""
         if self._said is None or abs(time_ns - self._said_ns) > GAP_NS:
             super().move(time_ns, speed_mps, angle_deg)
 
 
 class SpeedMeter:
-    """Measures speeds and the way, of samples that may come twice, out of order or not at all.
+    """Measures speed and distance from samples that may repeat, come out of order or be missing.
 
     Attributes:
-        moving_ns: time for which the robot was faster than STANDING_MPS, of ``known_ns`` of which that is known.
-        top_mps: the highest believable speed, negative in reverse; ``top_ns``, when.
-        gaps: number of times without data for longer than GAP_NS, but for long rests; ``gap_ns`` in all.
-        begun_ns: the sample with which the newest time without a gap begins.
+        moving_ns: time above STANDING_MPS, of ``known_ns`` with known speed.
+        top_mps: the highest plausible speed, negative in reverse, at ``top_ns``.
+        gaps: times without data for longer than GAP_NS, except long rests; ``gap_ns`` in all.
+        begun_ns: the first sample after the newest gap.
     """
 
     def __init__(self) -> None:
@@ -112,11 +112,11 @@ class SpeedMeter:
 
     @property
     def distance_m(self) -> float:
-        """The length of the way, forward and in reverse."""
+        """The distance, forward and in reverse."""
         return self.way.distance_m
 
     def add(self, time_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
-        """Add a sample; return the way since the one before in metres, None for one that does not count."""
+        """Add a sample. Returns the distance since the one before in metres; None if it does not count."""
         before_ns, before_mps = self.last_ns, self._last_mps
         if before_ns is not None and before_ns - CLOCK_STEP_NS < time_ns <= before_ns:
             return None
@@ -126,7 +126,7 @@ class SpeedMeter:
         self.way.move(time_ns, speed_mps, angle_deg)
         step_m, self._counted_m = self.distance_m - self._counted_m, self.distance_m
         if before_ns is None or not 0 < time_ns - before_ns <= GAP_NS:
-            # Between two drives, at rest, a long time without data is no loss.
+            # A long time without data at rest, between two drives, is no loss.
             is_rest = max(abs(before_mps), abs(speed_mps)) <= STANDING_MPS
             if before_ns is not None and not (is_rest and time_ns - before_ns > REST_NS):
                 self.miss(time_ns - before_ns)
@@ -146,7 +146,7 @@ class SpeedMeter:
         return step_m
 
     def miss(self, span_ns: int) -> None:
-        """Note a time of which nothing is known."""
+        """Add a time without data."""
         self.gaps += 1
         self.gap_ns += max(0, span_ns)
 
@@ -156,15 +156,13 @@ class SpeedMeter:
 
 
 class RecordedDrive(msgspec.Struct):
-    """A time of being commanded, or of moving, behind a long rest and before another one.
+    """A time of being commanded or moving, between two long rests.
 
     Attributes:
         log_start_ns, log_end_ns: the log times of its first and last message.
-        missing_s: time in it of which nothing is known: the distance is at least ``distance_m``.
-        stops: their number; ``ends`` that of the ends that were asked for.
-        severity: that of the worst moment, and whether it ``is_stop``.
-        worst: that in words; empty if nothing is worse than news.
-        worst_ns: and when it was.
+        missing_s: time without data: the distance is at least ``distance_m``.
+        ends: number of requested ends.
+        severity, is_stop, worst, worst_ns: the worst moment; ``worst`` is empty if there is only information.
     """
 
     start_ns: int
@@ -181,7 +179,7 @@ class RecordedDrive(msgspec.Struct):
     worst_ns: int = 0
 
     def is_near(self, time_ns: int) -> bool:
-        """Report whether a time is within its margins."""
+        """True for a time within its margins."""
         return self.start_ns - MARGIN_NS <= time_ns <= self.end_ns + MARGIN_NS
 
     def take(self, entry: Entry) -> None:
@@ -194,7 +192,7 @@ class RecordedDrive(msgspec.Struct):
 
 
 class Outage(msgspec.Struct, frozen=True):
-    """The time from the last message of a gateway's arbiter to the first of another one; None if there is none."""
+    """The time from the last state of a gateway to the first of the next one; None if there is none."""
 
     heard_ns: int
     began_ns: int | None
@@ -205,10 +203,10 @@ class Drives:
     """The drives of one robot, and what happened to it.
 
     Attributes:
-        more: drives for which there was no room.
-        stops: number of stops, by cause; ``ends`` of what was asked for, by reason.
-        entries: those that are kept; of a stop the reason is its cause.
-        worst: the worst entry; None if nothing is worse than news.
+        more: number of drives beyond ``DRIVES_MAX``.
+        stops: number of stops by cause; ``ends``, of requested ends by reason.
+        entries: the first ones; the reason of a stop is its cause.
+        worst: the worst entry; None if there is only information.
     """
 
     def __init__(self) -> None:
@@ -224,13 +222,13 @@ class Drives:
         self._drives: list[RecordedDrive] = []
         self._now: RecordedDrive | None = None
         self._gaps: dict[int, int] = {}
-        """The newest times without a word of the arbiter: by their ends their beginnings."""
+        """The starts of the newest gaps in the states, by their ends."""
         self._cause = ""
         self._stop_at: int | None = None
-        """The place of the newest stop among the entries, if there was room for it."""
+        """The newest stop's place among the entries, if it was kept."""
 
     def move(self, time_ns: int, log_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
-        """Add a sample of its speed and steering. Returns as ``SpeedMeter.add`` does."""
+        """Add a sample of speed and steering. Returns the same as ``SpeedMeter.add``."""
         before_ns, gap_ns = self.motion.last_ns, self.motion.gap_ns
         step_m = self.motion.add(time_ns, speed_mps, angle_deg)
         if speed_mps is not None and abs(speed_mps) > STANDING_MPS:
@@ -243,7 +241,7 @@ class Drives:
         return step_m
 
     def command(self, time_ns: int, log_ns: int) -> None:
-        """It was commanded, or moved, at this time."""
+        """Note that it was commanded or moved."""
         now = self._now
         if now is None or not now.start_ns - REST_NS <= time_ns <= now.end_ns + REST_NS:
             now = self._now = RecordedDrive(time_ns, time_ns, log_ns, log_ns)
@@ -255,7 +253,7 @@ class Drives:
         now.log_start_ns, now.log_end_ns = min(now.log_start_ns, log_ns), max(now.log_end_ns, log_ns)
 
     def take(self, entry: Entry) -> None:
-        """Add the next entry of the timeline that is about this robot, by its time."""
+        """Add the robot's next entry, by time."""
         if entry.kind in _IN_OTHER_TABLES:
             return
         self._keep(entry)
@@ -277,7 +275,7 @@ class Drives:
                 return
 
     def fall_silent(self, outage: Outage) -> None:
-        """The gateway fell silent."""
+        """Add an outage of the gateway."""
         if len(self.outages) < GAPS_MAX:
             self.outages.append(outage)
         else:
@@ -290,7 +288,7 @@ class Drives:
 
     @property
     def more_entries(self) -> int:
-        """Number of entries for which there was no room."""
+        """Number of entries that were not kept."""
         return self.counts.total() - len(self.entries)
 
     def drives(self) -> list[RecordedDrive]:
@@ -304,7 +302,7 @@ class Drives:
             self.entries.append(entry)
 
     def _count_stop(self, entry: Entry) -> None:
-        """Count a stop by its cause; of a gateway that died the next one may say it."""
+        """Count a stop by its cause, which the next gateway may report if this one died."""
         if entry.is_stop:
             self._cause = DIED if entry.reason is Reason.NONE else entry.reason.value
             self._stop_at = len(self.entries) - 1 if self.entries[-1:] == [entry] else None
@@ -321,11 +319,11 @@ class Drives:
 
 
 def _weight(entry: Entry) -> int:
-    """Weigh an entry: a stop is worse than what is as grave."""
+    """The weight of an entry; a stop counts more than another of its severity."""
     return 2 * _RANKS[entry.severity] + entry.is_stop
 
 
 def _is_restart(entry: Entry) -> bool:
-    """Report whether another gateway began, and the one before did not shut down by request."""
+    """True if the gateway restarted without a requested shutdown."""
     is_grave = entry.severity is not Severity.INFO
     return entry.kind is EntryKind.GATEWAY and is_grave and entry.source is not EntrySource.RECORDER

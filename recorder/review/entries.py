@@ -1,10 +1,10 @@
-"""Entries of what happened: their words, the clocks of their robots, stops, repeats and missing samples.
+"""Entries of what happened: their texts, the robots' clocks, stops, repeats and missing samples.
 
-A message's own time is better than that of its receipt, as long as the two clocks agree; else the arbiter's tick
-gives the order. A change between two healths is an entry; of the arbiter's states the guard and the run alone.
+A message's own time is used as long as its clock agrees with the recorder's; else the arbiter's tick gives the
+order.
 
-A stop is the end of being commanded that no client asked for. What a guard or the next gateway says of it later
-belongs to it, and so does each further cause before the robot is engaged again.
+A stop is an end of command that no client asked for. Later reports of it by a guard or the next gateway, and
+further causes before the robot is engaged again, belong to the same stop.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from schemas.requests import Tick
 from schemas.settings import TICK_NS
 
 NEAR_NS: Final = 1_000_000_000
-"""Clocks that differ by no more agree."""
+"""Clocks that differ by less agree."""
 
 FAR_NS: Final = 60_000_000_000
-"""No sample is under way for so long: clocks that differ by more do so from the first sample on."""
+"""No sample takes this long: a larger difference is the clock's, from the first sample on."""
 
 _SURE_AFTER: Final = 5
 """Samples that must agree before a clock counts as behind by less than ``FAR_NS``."""
 
 SETTLE_NS: Final = 3_000_000_000
-"""Time over which they must be received: what waited for the link or the recorder comes in one burst."""
+"""Time over which they must be received: samples that waited come in one burst."""
 
 _TICKS_NEAR: Final = 500
-"""Over so many ticks, 5 s, the tick is a measure of time: later ones may have been late."""
+"""Over so many ticks (5 s) the tick measures time."""
 
 
 class RobotClock:
     """The clock of one robot.
 
-    Nothing is received before it is said, and much may be received late. So the smallest difference of receipt and
-    robot's time is the nearest to that of the clocks, and a later one that is smaller proves the offset wrong.
+    No sample is received before it is sent, and any may be late: the smallest difference between receipt and the
+    robot's time is the best estimate of the offset, and a smaller one corrects it.
 
     Attributes:
-        offset_ns: to be added to its times; 0 while it agrees with the recorder's.
-        corrected_ns: by how much the last received state proved the offset wrong: the times of those before
-            it are wrong by so much, too. 0 where the clock was set, and they are right.
+        offset_ns: added to its times; 0 while it agrees with the recorder's.
+        corrected_ns: by how much the last state corrected the offset, and so the times before it; 0 if the clock
+            was set.
     """
 
     def __init__(self) -> None:
@@ -59,22 +59,22 @@ class RobotClock:
         self._tick: int | None = None
         self._publish_ns = self._log_ns = 0
         self._told_ns = 0
-        """The offset that was reported last."""
+        """The offset of the last entry about it."""
         self._begin(0)
 
     def _begin(self, log_ns: int) -> None:
-        """Begin anew: the clock was set, or restarted, and earlier states say nothing about it."""
+        """Start over: earlier states say nothing about this clock."""
         self._least_ns: int | None = None
         self._since_ns = log_ns
         self._states = 0
         self._is_settled = False
 
     def is_other_run(self, tick: int) -> bool:
-        """Return True if the tick is not of the last received run."""
+        """True if the tick is of another run than the last state."""
         return self._tick is not None and not is_same_run(tick, self._tick)
 
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
-        """Add a state of the arbiter; return a sentence about a change of the clock, empty if there is none."""
+        """Add a state of the arbiter. Returns a sentence about a change of the clock, or an empty text."""
         self.corrected_ns = 0
         if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
             return ""
@@ -97,7 +97,7 @@ class RobotClock:
         return said or self._news()
 
     def _weigh(self, off_ns: int, log_ns: int) -> None:
-        """A state was received so long after the robot's time. The smallest such time counts, once it is sure."""
+        """Take the difference between receipt and the robot's time; the smallest counts, once it is sure."""
         self._states += 1
         self._least_ns = off_ns if self._least_ns is None else min(self._least_ns, off_ns)
         is_behind = NEAR_NS < self._least_ns <= FAR_NS
@@ -108,40 +108,38 @@ class RobotClock:
         self.offset_ns = 0 if 0 <= self._least_ns <= NEAR_NS else self._least_ns
 
     def _news(self) -> str:
-        """Return a sentence on the offset from the recorder's clock; empty if it is as reported last."""
+        """A sentence about the offset; empty if it has not changed."""
         if abs(self.offset_ns - self._told_ns) <= NEAR_NS:
             return ""
         self._told_ns = self.offset_ns
         if abs(self.offset_ns) <= NEAR_NS:
-            return (
-                "the robot's clock agrees with the recorder's; where an entry said otherwise, it no longer holds"
-            )
+            return "the robot's clock agrees with the recorder's again"
         way = "behind" if self.offset_ns > 0 else "ahead of"
         seconds = abs(self.offset_ns) / 1e9
-        return f"the robot's clock is {seconds:.1f} s {way} the recorder's; the times here are the recorder's"
+        return f"the robot's clock is {seconds:.1f} s {way} the recorder's; times here are the recorder's"
 
     def place(self, publish_ns: int, log_ns: int, tick: int | None = None) -> int:
-        """Return the recorder's time of what the robot dates ``publish_ns``; never later than the receipt."""
+        """The recorder's time of a message that the robot dates ``publish_ns``; never after its receipt."""
         set_ns = 0 if tick is None else self._set_by(publish_ns, log_ns, tick)
         return min(publish_ns + self.offset_ns - set_ns, log_ns)
 
     def _is_near(self, tick: int) -> bool:
-        """Return True if the tick is so near to the last state's that it is a measure of time."""
+        """True if the tick is so near to the last state's that it measures time."""
         return self._tick is not None and abs(tick - self._tick) <= _TICKS_NEAR
 
     def _set_by(self, publish_ns: int, log_ns: int, tick: int) -> int:
-        """Return by how much the clock was set since the last state, nanoseconds, as far as the ticks show."""
+        """The step of the clock since the last state, by the ticks; else 0."""
         if self._tick is None or not self._is_near(tick):
             return 0
         set_ns = publish_ns - self._publish_ns - (tick - self._tick) * TICK_NS
-        # Either the clock was set, or the gateway made a pause, and then the receipt is as late as the clock says.
+        # After a pause of the gateway the receipt is as late as the clock says; else the clock was set.
         received_ns = log_ns - self._log_ns
         paused = abs((publish_ns - self._publish_ns) - received_ns) <= NEAR_NS
         return 0 if paused or abs(set_ns) <= NEAR_NS else set_ns
 
 
 class EntryKind(Enum):
-    """The kind of an entry: those of ``safety/event``, and others that a log reveals."""
+    """The kind of an entry: those of ``safety/event``, and others found in a log."""
 
     LEASE = "lease"
     ENGAGED = "engaged"
@@ -162,25 +160,22 @@ class EntryKind(Enum):
 
 
 OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}
-"""Of a newer version there may be others."""
+"""A newer version may have others."""
 
 STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
-"""Entries that end the command of the robot, though no client asked for that."""
+"""Entries that end the command of the robot without a request for it."""
 
 ENDS: Final = STOPS | {EntryKind.END}
-"""And those that a client asked for."""
+"""Those, and the ends that a client asked for."""
 
 
 def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
-    """The kind of an entry for this reason: what was asked for is no stop."""
+    """The kind of an entry for this reason: a requested end is no stop."""
     return EntryKind.END if kind is EntryKind.STOP and reason in AS_ASKED else kind
 
 
 class EntrySource(Enum):
-    """The part of the log that an entry was read from.
-
-    ``state``: no message says so; it was derived from two states of the arbiter, one after the other.
-    """
+    """The part of the log that an entry comes from; ``state``: derived from two states of the arbiter."""
 
     EVENT = "event"
     STATE = "state"
@@ -194,15 +189,15 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     """An entry of the timeline.
 
     Attributes:
-        time_ns: when, in nanoseconds since 1970, by the robot's clock; by the recorder's where the two differ
-            by over a second. Of an entry from ``gateway/health``, which comes once a second, it is the time of the
-            health before: what went wrong did so between that and ``last_ns``.
-        last_ns: when the last of ``count`` alike ones was, or how long it lasted; else as ``time_ns``.
-        robot: whose; empty where it is about all.
-        count: number of alike ones that are shown as one.
-        holder: the lease's holder then, as far as the log shows; empty if there was none.
-        is_late: entries that happened later come before it.
-        is_stop: a stop begins with it; what is said of that stop afterwards is none.
+        time_ns: in nanoseconds since 1970, by the robot's clock, or by the recorder's if they differ by over a
+            second. A fault from ``gateway/health``, which comes once a second, happened between ``time_ns`` and
+            ``last_ns``.
+        last_ns: the end, or the time of the last of ``count`` entries; else as ``time_ns``.
+        robot: empty if it is about no robot.
+        count: number of similar entries shown as one.
+        holder: the lease's holder then; empty if there was none or it is unknown.
+        is_late: it comes after entries that happened later.
+        is_stop: a stop begins with it.
     """
 
     time_ns: TimeNs
@@ -223,13 +218,13 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def tells_of_guard(self) -> bool:
-        """It says how a stop by the guard ended, which is no stop itself."""
+        """True if it says how a stop by the guard ended, which is no stop itself."""
         return self.kind is EntryKind.GUARD and self.text.startswith(GUARD_STOP_ENDED)
 
 
 FAILURES_IN_WORDS: Final = {
     "checksum": "checksums fail",
-    "implausible": "values beyond what the chassis can have",
+    "implausible": "impossible values",
     "alive_counter": "alive counter fails",
     "period": "wrong period",
     "silence": "silent",
@@ -237,36 +232,35 @@ FAILURES_IN_WORDS: Final = {
 
 _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("checksum_faults", "checksum", "frames with a wrong checksum"),
-    ("implausible", "implausible", "frames with a value that the chassis cannot have"),
+    ("implausible", "implausible", "frames with an impossible value"),
     ("lost", "alive_lost", "missing frames"),
 )
-"""Counters of each frame whose rise makes an entry, and the kind of fault that then needs none of its own."""
+"""Counters of each frame whose rise makes an entry, and the kind of fault that needs no further entry then."""
 
 DROPPED: Final = "inbox_drops"
 
 _COUNTS: Final[tuple[tuple[str, str], ...]] = (
     ("bus_losses", "the CAN bus was lost"),
     ("bus_drops", "frames were dropped: not read in time, or garbled"),
-    ("publish_failures", "Zenoh did not take samples"),
-    (DROPPED, "requests were dropped unread: too many came"),
+    ("publish_failures", "Zenoh did not accept samples"),
+    (DROPPED, "requests were dropped unread: too many arrived"),
 )
-"""Counters since the start whose rise makes an entry."""
+"""Counters since the gateway's start whose rise makes an entry."""
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
-"""Frames of others on the bus, mostly."""
+"""Mostly frames of other nodes on the bus."""
 
-_FAULTS: Final = {"period": "frames came irregularly", "silence": "frames stayed away"}
-"""In words, where no frame is named."""
+_FAULTS: Final = {"period": "frames came irregularly", "silence": "frames did not come"}
+"""Kinds of faults in words, without a frame's name."""
 
 
 class Risen(msgspec.Struct, frozen=True):
-    """A fault that is new, or over, since the health before.
+    """A fault that began or ended since the health before.
 
     Attributes:
-        what: alike ones have the same.
-        about: the feedback frames that it is about; empty if it is about none.
-        is_end: the end of something, which is known to be over at this health. Else it began, at an unknown time,
-            behind the health before.
+        what: the same for similar faults.
+        about: the feedback frames concerned.
+        is_end: it happened by the time of this health; else at an unknown time after the one before.
     """
 
     what: str
@@ -279,9 +273,9 @@ class Risen(msgspec.Struct, frozen=True):
 
 
 def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
-    """Return the faults that are new since the message before; without one of the same run those of now."""
+    """The faults that are new since the message before; without one of the same run, the present ones."""
     yield from _bus(before, now)
-    # Of all frames together, since a cable that is pulled out silences all of them.
+    # Gathered over all frames, since a pulled cable silences all of them.
     were = {} if before is None else {frame.name: frame.failures for frame in before.feedback}
     new, over = dict[str, list[str]](), dict[str, list[str]]()
     for frame in now.feedback:
@@ -292,7 +286,7 @@ def risen(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     for failure, names in new.items():
         yield Risen(failure, FAILURES_IN_WORDS.get(failure, failure), len(names), tuple(names))
     for failure, names in over.items():
-        text = f"no longer at fault ({failure})"
+        text = f"recovered ({failure})"
         yield Risen(f"{failure} over", text, len(names), tuple(names), Severity.INFO, is_end=True)
     if before is not None:
         yield from _counts(before, now)
@@ -306,7 +300,7 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         rises = {name: rise for name, rise in grown.items() if rise > 0}
         if rises:
             said.add(kind)
-            # A frame may only be late: the gateway knows that it is lost some seconds after its time.
+            # The gateway counts a late frame as lost only seconds after its time.
             yield Risen(words, words, sum(rises.values()), tuple(rises), is_end=field == "lost")
     for kind, count in now.faults.items():
         rise = count - before.faults.get(kind, 0)
@@ -323,27 +317,27 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
 def _bus(before: GatewayHealth | None, now: GatewayHealth) -> Iterator[Risen]:
     if not now.bus_up and (before is None or before.bus_up):
         detail = f": {now.bus_detail}" if now.bus_detail else ""
-        yield Risen("bus down", f"the CAN bus {now.bus} is not there{detail}", severity=Severity.ERROR)
+        yield Risen("bus down", f"the CAN bus {now.bus} is down{detail}", severity=Severity.ERROR)
     if before is not None and now.bus_up and not before.bus_up:
-        yield Risen("bus up", f"the CAN bus {now.bus} is back", severity=Severity.INFO, is_end=True)
+        yield Risen("bus up", f"the CAN bus {now.bus} is up again", severity=Severity.INFO, is_end=True)
     if before is not None and now.variant is not before.variant:
-        text = f"the firmware variant: {before.variant.value} before, {now.variant.value} now"
+        text = f"the firmware variant changed from {before.variant.value} to {now.variant.value}"
         yield Risen("variant", text, severity=Severity.INFO, kind=EntryKind.GATEWAY, is_end=True)
     was = ControllerState.UNKNOWN if before is None else before.controller
     if now.controller is not was and now.controller is not ControllerState.UNKNOWN:
-        yield Risen("controller", f"the CAN controller: {was.value} before, {now.controller.value} now")
+        yield Risen("controller", f"the CAN controller changed from {was.value} to {now.controller.value}")
 
 
 APART_NS: Final = 10_000_000_000
-"""A cause that comes so long after the last one stops a robot that was moved meanwhile: that is another stop."""
+"""A cause this long after the last one is another stop: the robot was moved in between."""
 
 
 class Stops:
-    """The stops of one robot, from its entries by their time."""
+    """Finds the stops among the entries of one robot, by time."""
 
     def __init__(self) -> None:
         self._caused_ns: int | None = None
-        """When the newest cause of the stop was; None once the robot was engaged."""
+        """The time of the stop's newest cause; None once the robot is engaged."""
         self._has_guard_latch = False
 
     def mark(self, entry: Entry) -> Entry:
@@ -360,9 +354,9 @@ class Stops:
         return entry
 
     def _stops(self, entry: Entry) -> bool:
-        """Report whether the command has ended by this, at the latest."""
+        """True if the command has ended with this entry."""
         if entry.kind is EntryKind.LATCH and entry.reason is Reason.GUARD:
-            # Each gateway that finds the latch says so at its start.
+            # Each gateway that finds the latch reports it at its start.
             is_new, self._has_guard_latch = not self._has_guard_latch, True
             return is_new
         if entry.kind is EntryKind.GATEWAY:
@@ -371,25 +365,25 @@ class Stops:
 
 
 IDS_KEPT: Final = 50_000
-"""So many samples of a topic are remembered: a quarter of an hour of decisions, as many as are ever asked for."""
+"""Samples of a topic that are remembered: a quarter of an hour of decisions."""
 
 PIECES_MAX: Final = 1000
 
 SPELL_NS: Final = 2_500_000_000
-"""Alike entries that follow each other within this time are one spell; so are entries that come each second."""
+"""Similar entries within this time of each other are one spell."""
 
 LATE_NS: Final = 60_000_000_000
-"""A spell ends after this time without an addition: messages that were queried later may come out of order."""
+"""A spell ends after this time without an addition; messages that were queried late may come out of order."""
 
 SPELLS_MAX: Final = 10_000
-"""Spells that are under way; beyond it the oldest is ended."""
+"""Limit of open spells; beyond it the oldest ends."""
 
 NAMES_MAX: Final = 30
-"""Names that a spell remembers; a chassis has ten feedback frames."""
+"""Limit of names in a spell; a chassis has ten feedback frames."""
 
 
 class SequenceHole(msgspec.Struct, frozen=True):
-    """Samples that are not in the log: their number, and when the last before and the first behind them were."""
+    """Missing samples: their number, and the times of the last one before and the first one after."""
 
     count: int
     after_ns: int
@@ -397,15 +391,15 @@ class SequenceHole(msgspec.Struct, frozen=True):
 
 
 class Sequences:
-    """The samples of one topic and one run of its sender, in whatever order they come."""
+    """The sequence numbers of one topic in one run, in any order."""
 
     def __init__(self) -> None:
         self._pieces: list[tuple[int, int, int, int]] = []
-        """First and last sequence of each piece without a hole, and their times."""
+        """First and last sequence of each piece without holes, and their times."""
         self._told: list[SequenceHole] = []
 
     def add(self, sequence: int, time_ns: int) -> None:
-        """A sample is there."""
+        """Add a sample."""
         pieces = self._pieces
         at = bisect_right(pieces, sequence, key=itemgetter(0))
         if at and sequence <= pieces[at - 1][1]:
@@ -423,7 +417,7 @@ class Sequences:
             del pieces[0]
 
     def holes(self) -> list[SequenceHole]:
-        """Return the ranges of missing samples between the first and the last one."""
+        """The ranges of missing samples between the first and the last one."""
         return self._told + [_hole(*pair) for pair in pairwise(self._pieces)]
 
 
@@ -432,7 +426,7 @@ def _hole(before: tuple[int, int, int, int], behind: tuple[int, int, int, int]) 
 
 
 class Repeats:
-    """Finds samples that were there before: an incident beside its log, two recorders' logs."""
+    """Finds repeated samples: an incident beside its log, or two recorders' logs."""
 
     def __init__(self, kept: int = IDS_KEPT) -> None:
         self._kept = kept
@@ -440,7 +434,7 @@ class Repeats:
         self._order: deque[tuple[int, int]] = deque()
 
     def is_new(self, publish_ns: int, sequence: int) -> bool:
-        """The first with this publish time and sequence, as far as is remembered."""
+        """True for the first sample with this publish time and sequence, as far as remembered."""
         one = (publish_ns, sequence)
         if one in self._ids:
             return False
@@ -461,16 +455,16 @@ class _Spell(msgspec.Struct):
 
 
 class Spells:
-    """Gathers what is alike."""
+    """Gathers similar entries."""
 
     def __init__(self) -> None:
         self._open: dict[Hashable, _Spell] = {}
         self._over: list[Entry] = []
 
     def add(self, key: Hashable, entry: Entry, log_ns: int, about: Iterable[str] = ()) -> None:
-        """One more, or ``entry.count`` more; alike are those with the same key.
+        """Add an entry to the spell of its key.
 
-        The spell's text is the last's. What they are ``about`` is named before it, of all of them together.
+        The spell has the text of its last entry, preceded by the names that all of them are ``about``.
         """
         spell = self._open.get(key)
         if spell is not None:
@@ -489,7 +483,7 @@ class Spells:
         self._open[key] = _Spell(entry, entry.time_ns, entry.last_ns, entry.count, log_ns, _first_names(about))
 
     def take(self, log_ns: int | None = None) -> list[Entry]:
-        """The spells that are over at this log time; all of them without one."""
+        """The spells that are over at this log time; without one, all."""
         over, self._over = self._over, []
         ended = [
             key

@@ -1,7 +1,7 @@
-"""Events in order: leases, engages, stops, latches, faults, takeovers, refusals, and gaps of the log.
+"""Events in order: leases, engagements, stops, latches, faults, takeovers, refusals, and gaps in the log.
 
-One pass over the messages of arbiter, gateway and recorder. Entries are held back, up to a bound, so that a late
-one, which the log holds behind newer messages, appears in its place, and so that a later message can correct it.
+One pass over the messages of arbiter, gateway and recorder. Entries are held back, up to a limit: a message
+that was recorded late takes its place, and a later one can correct an entry.
 """
 
 from __future__ import annotations
@@ -52,36 +52,36 @@ from schemas.recording import RecorderEvent, RecorderEventKind, RecordGap
 from schemas.settings import SAFETY_STATE_PERIOD_NS, TICK_NS
 
 HELD_MAX: Final = 20_000
-"""Entries that are held back. One that comes after so many newer ones is shown out of order, and marked so."""
+"""Limit of entries that are held back. One that comes later is shown out of order, and marked."""
 
 LATER_NS: Final = 15 * 60 * 1_000_000_000
-"""The log is read this far beyond the end of the wanted time, for late messages about that time."""
+"""The log is read this far beyond the wanted time, for messages that were recorded late."""
 
 BEFORE_NS: Final = 5 * 1_000_000_000
-"""The states this long before the wanted time are read too, so that a change at its beginning is seen as one."""
+"""States are read from this long before the wanted time, so that a change at its start is seen."""
 
 SILENT_NS: Final = 1_000_000_000
-"""The arbiter's state comes 20 times a second; without it for so long, what happened meanwhile is not known."""
+"""A longer time without states is a gap; they come 20 times a second."""
 
 HOLDERS_KEPT: Final = 10_000
-"""Changes of the lease that are remembered."""
+"""Limit of changes of the lease that are kept."""
 
 _UNTOLD: Final = frozenset(
     {"drive", "renew", "acquire", "take", "release", "engage", "disengage", "stop", "reset"}
 )
-"""Requests that, once accepted, have an event of their own, or are of a stream."""
+"""Accepted requests without an entry: they have an event of their own, or are part of a stream."""
 
 _EXPECTED: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.ALREADY_ENGAGED, Reason.BUSY})
-"""A stream goes on for a while: such a refusal is no fault."""
+"""Refusals that are no fault: a stream of commands continues for a while."""
 
 
 def is_within(entry: Entry, selection: Selection) -> bool:
-    """Report whether an entry is of the time of a selection."""
+    """True if an entry lies in the time of a selection."""
     return entry.time_ns < selection.to_ns and entry.last_ns >= selection.from_ns
 
 
 def hung_ns(was: SafetyState, now: SafetyState, silent_ns: int) -> int:
-    """For how long a gateway's loop stood still between two states of one run, by its ticks; 0 if it ran on."""
+    """The time that a gateway's loop hung between two states of one run, by its ticks; else 0."""
     lacking_ns = silent_ns - (now.tick - was.tick) * TICK_NS
     return silent_ns if is_same_run(was.tick, now.tick) and lacking_ns > 2 * SAFETY_STATE_PERIOD_NS else 0
 
@@ -95,9 +95,9 @@ def read_events(
     robots: Collection[str] = (),
     kinds: Collection[EntryKind] = (),
 ) -> Iterator[Entry]:
-    """The entries, in order: by their time, as long as no clock is set back.
+    """Yield the entries of these robots and kinds, by default of all, in order.
 
-    Of these robots, and what is about all, and of these kinds; empty is every one.
+    Entries about no robot are included.
     """
 
     def is_of(robot: str) -> bool:
@@ -122,7 +122,7 @@ def read_events(
 
 
 class LogEnding(msgspec.Struct, frozen=True):
-    """A notable end of a robot's log: the gateway fell silent (``is_silent``), or the log ends."""
+    """An end of a robot's log: the gateway went silent (``is_silent``), or the log ends."""
 
     entry: Entry
     is_silent: bool
@@ -130,7 +130,7 @@ class LogEnding(msgspec.Struct, frozen=True):
 
 
 class _Held(msgspec.Struct):
-    """An entry that is held back, and may be corrected or taken back."""
+    """An entry that is held back, and may be corrected or dropped."""
 
     entry: Entry
     is_void: bool = False
@@ -140,15 +140,15 @@ class _Held(msgspec.Struct):
 
 
 class RobotTrack:
-    """One robot as the log gives it so far.
+    """One robot, as far as the log has been read.
 
     Attributes:
-        name: empty for what is no robot's.
-        state: the arbiter's newest; its run was heard first at ``run_since_ns``.
-        ended_tick: the tick of the last announcement of a shutdown; None if there was none.
-        is_shared: two gateways speak under its name.
-        steps: after each tick at which the computer's clock was set back, by how much it has been in all.
-        hung: from when to when the gateway's loop stood still last.
+        name: empty for messages of no robot.
+        state: the arbiter's newest; its run was first seen at ``run_since_ns``.
+        ended_tick: the tick of the last announced shutdown; None if there was none.
+        is_shared: two gateways use its name.
+        steps: ticks at which the computer's clock was set back, each with the sum so far.
+        hung: start and end of the loop's last hang.
     """
 
     def __init__(self, name: str) -> None:
@@ -164,49 +164,49 @@ class RobotTrack:
         self.steps: list[tuple[int, int]] = []
         self.hung = (0, 0)
         self.doubtful: _Held | None = None
-        """A silence that the clock may have made."""
+        """A gap that may be a step of the clock."""
         self.begun: list[_Held] = []
-        """Entries on the last gateway that began."""
+        """Entries about the last restart."""
         self.died: _Held | None = None
-        """The death that a recorder saw, until the gateway is heard again."""
+        """The death that a recorder reported, until a state comes again."""
         self._holders: deque[tuple[int, str]] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []
         self._state_runs: list[int] = []
         self._sequences: dict[tuple[str, int], Sequences] = {}
 
     def place(self, row: Row, tick: int | None = None) -> int:
-        """Return the time of a row's event by the recorder's clock."""
+        """The time of a row's event by the recorder's clock."""
         return self.clock.place(row.publish_ns, row.log_ns, tick)
 
     def count(self, row: Row, tick: int, time_ns: int) -> None:
-        """A sample of a subject of which every one should be in the log."""
+        """Count a sample of a subject that should be complete in the log."""
         self._sequences.setdefault((row.topic.name, self.run_of(tick)), Sequences()).add(row.sequence, time_ns)
 
     def order_ns(self, time_ns: int, tick: int | None = None) -> int:
-        """The time as it would be had the computer's clock never been set back."""
+        """The time without the steps back of the computer's clock."""
         set_ns = [by_ns for at_tick, by_ns in self.steps if tick is None or tick >= at_tick]
         return time_ns - (set_ns[-1] if set_ns else 0)
 
     @property
     def is_ended(self) -> bool:
-        """True if the gateway of the newest state shut down as requested, at rest."""
+        """True if the newest gateway shut down as requested, at rest."""
         state, ended = self.state, self.ended_tick
         return state is not None and ended is not None and not self.is_active and is_same_run(state.tick, ended)
 
     @property
     def is_active(self) -> bool:
-        """True if the gateway of the newest state commanded the chassis."""
+        """True if the newest gateway commanded the chassis."""
         return self.state is not None and self.state.state is not ArbiterState.STANDBY
 
     @property
     def left(self) -> str:
-        """The gateway's state and commanded speed in its newest message, for people."""
+        """The gateway's newest state and commanded speed in words."""
         if self.state is None or not self.is_active:
             return "standby"
         return f"{self.state.state.value}, commanded {self.state.output_speed_mps:.2f} m/s"
 
     def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
-        """The arbiter's newest state."""
+        """Take the arbiter's newest state."""
         if not self._holders or self._holders[-1][1] != state.lease_holder:
             if self._holders and state.tick < self._holders[-1][0]:
                 self._holders.clear()
@@ -218,7 +218,7 @@ class RobotTrack:
         self.state_ns, self.state_log_ns = time_ns, log_ns
 
     def holder_at(self, tick: int) -> str:
-        """Return the holder of the lease before this tick; empty if there was none, or the log does not say."""
+        """The holder of the lease before this tick; empty if there was none or it is unknown."""
         at = bisect_left(self._holders, tick, key=itemgetter(0))
         return self._holders[at - 1][1] if at else ""
 
@@ -231,7 +231,7 @@ class RobotTrack:
                 yield _of_log(self.name, EntryKind.GAP, hole.after_ns, text, count=hole.count, last_ns=last_ns)
 
     def run_of(self, tick: int) -> int:
-        """The number of the run of a tick, counted from the first that was heard."""
+        """The number of a tick's run, counted from the first in the log."""
         for number, newest in enumerate(self._runs):
             if is_same_run(tick, newest):
                 self._runs[number] = max(tick, newest)
@@ -240,14 +240,14 @@ class RobotTrack:
         return len(self._runs) - 1
 
     def is_back(self, tick: int) -> bool:
-        """States of this run have come before those of another one."""
+        """True if another run has come after this one."""
         return any(is_same_run(tick, one) for one in self._state_runs[:-1])
 
 
 class Timeline:
     """Makes entries of rows.
 
-    Of each topic ``kept`` samples are known again when they come a second time.
+    ``kept``: so many samples of each topic are recognised when they come a second time.
     """
 
     def __init__(self, faults: Faults, *, kept: int = IDS_KEPT) -> None:
@@ -263,7 +263,7 @@ class Timeline:
         self._log_ns = 0
 
     def take(self, row: Row, decoded: Any = None) -> None:  # noqa: ANN401 - any message of ours
-        """The next row, by log time; of a class of ours. ``decoded`` if it has been decoded already."""
+        """Take the next row by log time; ``decoded`` if it has been decoded already."""
         topic = row.topic
         take = _TAKES.get(topic.kind)
         if take is None or topic.decode is None:
@@ -283,24 +283,21 @@ class Timeline:
                 self._hold(entry)
 
     def robot(self, name: str) -> RobotTrack:
-        """The robot of this name, as the rows have given it so far."""
+        """The track of a robot."""
         found = self._robots.get(name)
         if found is None:
             found = self._robots[name] = RobotTrack(name)
         return found
 
     def tell(self) -> Iterator[Entry]:
-        """Yield the entries for which there is no more capacity."""
+        """Yield the entries beyond ``HELD_MAX``."""
         while len(self._held) > HELD_MAX:
             yield from self._next()
 
     def hear_behind_silence(self, logs: Sequence[LogFile], to_ns: int) -> None:
-        """Read the next state of each robot that is silent up to a time, and where that leaves a doubt the health.
+        """Read the next state of each robot that is silent at ``to_ns``, and its health if that is not enough.
 
-        Its tick shows whether the gateway is the same, and how long it was silent: a clock that is set forward
-        leaves a hole in the log times, too.
-
-        ``to_ns`` is the first log time that was not read.
+        The tick shows whether the gateway is the same: a clock that is set forward leaves a gap too.
         """
         for robot in list(self._robots.values()):
             found = self._ending(robot, logs, to_ns)
@@ -311,7 +308,7 @@ class Timeline:
                         break
 
     def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
-        """Yield the ends of each robot's logs, which ``end`` yields as entries too. After the last row."""
+        """Yield the end of each robot's logs; ``end`` yields them as entries too. After the last row."""
         for robot in self._robots.values():
             found = self._ending(robot, logs, to_ns)
             if found is not None:
@@ -319,7 +316,7 @@ class Timeline:
                 yield found
 
     def end(self) -> Iterator[Entry]:
-        """Yield the rest of the entries. After the last row."""
+        """Yield the remaining entries, after the last row."""
         for entry in self._spells.take():
             self._hold(entry)
         for robot in self._robots.values():
@@ -348,19 +345,16 @@ class Timeline:
         yield msgspec.structs.replace(entry, is_late=True) if is_late else entry
 
     def _ending(self, robot: RobotTrack, logs: Sequence[LogFile], to_ns: int) -> LogEnding | None:
-        """Return a notable end of a robot's log; None if it ended as it should.
-
-        Between two files there was no recorder to hear the gateway.
-        """
+        """The end of a robot's log; None if it ended in order. Between two files there was no recorder."""
         ends = [log.end_ns for log in logs_of(robot.name, logs) if log.start_ns < to_ns]
         if robot.state is None or robot.is_ended or not ends:
             return None
-        # The log times of before a clock was set back say nothing of the end.
+        # Log times from before a step back do not show the end.
         end_ns = self._log_ns if robot.steps else max(ends)
         silent_ns = min(end_ns, to_ns) - robot.state_log_ns
         is_silent = silent_ns > SILENT_NS
         if is_silent:
-            text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s, up to the end: the gateway fell silent, "
+            text = f"no arbiter state for {silent_ns / 1e9:.1f} s, until the end: the gateway went silent, "
         elif robot.is_active and end_ns < to_ns:
             text = "the log ends here: "
         else:
@@ -398,10 +392,9 @@ class Timeline:
         is_refused = decision.verdict is Verdict.REFUSED
         if not is_refused and decision.request in _UNTOLD:
             return
-        if is_refused:
-            text = f"{decision.request or 'nothing'} refused: {decision.detail or TEXTS[decision.reason].means}"
-        else:
-            text = f"{decision.request}, as asked"
+        request = decision.request or "unnamed request"
+        why = decision.detail or TEXTS[decision.reason].means
+        text = f"{request} refused: {why}" if is_refused else f"{request} accepted"
         expected = not is_refused or decision.reason in _EXPECTED
         entry = _entry(
             robot.name,
@@ -449,30 +442,30 @@ class Timeline:
         robot.hear_state(state, row.sequence, time_ns, row.log_ns)
 
     def _share(self, robot: RobotTrack, time_ns: int) -> None:
-        """A run goes on that another one had followed: two gateways speak at the same time."""
+        """An earlier run continues: two gateways run at the same time."""
         robot.is_shared = True
         for held in robot.begun:
             held.is_void = True
-        text = "two gateways speak under this name: these entries are of both"
+        text = "two gateways use this name: these entries are from both"
         self._hold(_entry(robot.name, EntryKind.GATEWAY, time_ns, text))
 
     def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
-        """The first state of a gateway that was started."""
+        """The first state of another run."""
         left, active = robot.left, robot.is_active
         severity = Severity.INFO if robot.is_ended else Severity.ERROR if active else Severity.WARNING
         robot.begun, robot.died, robot.doubtful = [], None, None
         robot.steps = [(0, robot.steps[-1][1])] if robot.steps else []
         silent_ns = time_ns - robot.state_ns
         if silent_ns > SILENT_NS and not robot.is_ended:
-            text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: the gateway fell silent, {left}"
+            text = f"no arbiter state for {silent_ns / 1e9:.1f} s: the gateway went silent, {left}"
             entry = _of_log(robot.name, EntryKind.GAP, robot.state_ns, text, severity=severity, last_ns=time_ns)
             robot.begun.append(self._hold(entry))
-        text = "another run of the gateway began: leases, engagement and latches of before are void"
-        text += f"; the one before was {left}" if active else ""
+        text = "the gateway restarted: earlier leases, engagement and latches are void"
+        text += f"; before that it was {left}" if active else ""
         robot.begun.append(self._hold(_entry(robot.name, EntryKind.GATEWAY, time_ns, text, severity=severity)))
 
     def _take_step(self, robot: RobotTrack, state: SafetyState, was: SafetyState, time_ns: int) -> int:
-        """A clock that was set back, by the ticks; returns by how much, else 0. The entry lasts as long."""
+        """The step back of the clock, by the ticks; else 0."""
         by_ns = time_ns - robot.state_ns - robot.clock.corrected_ns - (state.tick - was.tick) * TICK_NS
         if by_ns >= -NEAR_NS or time_ns >= robot.state_ns:
             return 0
@@ -483,7 +476,7 @@ class Timeline:
     def _look_for_silence(
         self, robot: RobotTrack, row: Row, state: SafetyState, was: SafetyState, time_ns: int
     ) -> None:
-        # What the clock was thought to be when the last one came may have been wrong.
+        # The offset may have been corrected since the last state.
         was_ns = robot.state_ns + robot.clock.corrected_ns
         silent_ns = time_ns - was_ns
         missed = (row.sequence - robot.state_sequence - 1) % 2**32
@@ -495,21 +488,21 @@ class Timeline:
         if silent_ns <= SILENT_NS:
             return
         ticks = state.tick - was.tick
-        made = f"the gateway made {ticks} tick{'' if ticks == 1 else 's'} meanwhile"
+        made = f"the gateway ran {ticks} tick{'' if ticks == 1 else 's'} in that time"
         why = f"{missed} samples are missing" if missed else made
-        text = f"nothing of the arbiter for {silent_ns / 1e9:.1f} s: {why}"
+        text = f"no arbiter state for {silent_ns / 1e9:.1f} s: {why}"
         entry = _of_log(robot.name, EntryKind.GAP, was_ns, text, last_ns=time_ns, count=max(1, missed))
         held = self._hold(entry)
         robot.doubtful = held if stood_ns else None
 
     def _revive(self, robot: RobotTrack, death: _Held, heard_ns: int) -> None:
-        """The run goes on of which a recorder said that it had died."""
+        """Correct a death that a recorder reported: the run continues."""
         since_ns, until_ns = robot.hung
         hung = since_ns - SILENT_NS <= death.entry.time_ns <= until_ns
-        how = "its loop had stood still" if hung else "it had run on: the recorder or the link stood still"
+        how = "its loop had hung" if hung else "it had run on, the recorder or the link had stalled"
         text = (
-            f"the recorder received nothing of the gateway for {heard_ns / 1e9:.1f} s, "
-            f"then the same run again: {how}"
+            f"the recorder received nothing from the gateway for {heard_ns / 1e9:.1f} s, "
+            f"then the same run continued: {how}"
         )
         death.correct(text=text, severity=Severity.WARNING)
         robot.died = None
@@ -526,13 +519,13 @@ class Timeline:
         robot.health, robot.health_ns = health, time_ns
         for one in risen(was, health):
             if one.what == "controller" and robot.state is not None:
-                continue  # An event says so.
+                continue  # It has an event.
             text, is_dated = one.text, was is None or one.is_end
             if one.what == DROPPED and was_ns <= robot.hung[1] <= time_ns:
                 seconds = (robot.hung[1] - robot.hung[0]) / 1e9
                 text = f"requests were dropped unread: the loop did not read for {seconds:.1f} s"
             began_ns = time_ns if is_dated else was_ns
-            text += "" if is_dated else " (after this time, as the next gateway/health says)"
+            text += "" if is_dated else " (after this time, by the next gateway/health)"
             more = {"severity": one.severity, "source": EntrySource.HEALTH, "last_ns": time_ns, "count": one.count}
             entry = _entry(robot.name, one.kind, began_ns, text, **more)
             if one.severity is Severity.INFO and one.count == 1 and not one.about:
@@ -541,14 +534,14 @@ class Timeline:
                 self._spells.add((robot.name, one.what), entry, row.log_ns, one.about)
 
     def _judge(self, robot: RobotTrack, silence: _Held, up_ns: int, time_ns: int) -> None:
-        """Judge a silence by the gateway's own measure of time: it, or the clock, was the cause."""
+        """Decide by the gateway's uptime whether a gap was a hang or a step of the clock."""
         set_ns = time_ns - up_ns
         if set_ns > NEAR_NS:
             text = f"the computer's clock was set by {set_ns / 1e9:+.1f} s"
             silence.correct(kind=EntryKind.CLOCK, text=text, time_ns=silence.entry.last_ns)
             robot.hung = (0, 0)
         else:
-            silence.correct(text=f"{silence.entry.text}: its loop stood still")
+            silence.correct(text=f"{silence.entry.text}, its loop hung")
         robot.doubtful = None
 
     def _take_recorder_event(self, _robot: RobotTrack, row: Row, event: RecorderEvent) -> None:
@@ -564,7 +557,7 @@ class Timeline:
     def _take_gap(self, _robot: RobotTrack, _row: Row, gap: RecordGap) -> None:
         parts = keys.parse(gap.key)
         words = _GAPS.get(gap.reason.value, gap.reason.value)
-        text = f"{gap.count} messages of {gap.key} reached the recorder and are not in the log: {words}"
+        text = f"{gap.count} messages of {gap.key} were received and not recorded: {words}"
         robot = ""
         if parts is not None:
             of_root = f"{parts.root}/{parts.robot}"
@@ -574,8 +567,8 @@ class Timeline:
 
 
 _GAPS: Final = {
-    "queue": "they came faster than they could be recorded",
-    "disk": "the disk did not take or keep them",
+    "queue": "they came faster than the recorder could write",
+    "disk": "the disk did not store them",
     "full": "the disk was full",
     "size": "they were too large",
 }
@@ -592,7 +585,7 @@ _TAKES: Final[dict[type[msgspec.Struct] | None, Callable[[Timeline, RobotTrack, 
 
 
 def _entry(robot: str, kind: EntryKind, time_ns: int, text: str, **more: Any) -> Entry:  # noqa: ANN401 - any field
-    """An entry; a warning by the arbiter's states that lasted no time, if nothing else is given."""
+    """An entry; by default a warning from the arbiter's states, without duration."""
     plain: dict[str, Any] = {"severity": Severity.WARNING, "source": EntrySource.STATE, "last_ns": time_ns}
     return Entry(robot=robot, kind=kind, time_ns=time_ns, text=text, **(plain | more))
 

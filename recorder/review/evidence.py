@@ -1,4 +1,4 @@
-"""The evidence for each reason: frames of the chassis, requests, and what the gateway says of itself."""
+"""The evidence for each reason: chassis frames, requests, and the gateway's own figures."""
 
 from __future__ import annotations
 
@@ -50,25 +50,25 @@ from schemas.settings import (
 )
 
 Finder = Callable[[EvidenceWindow], list[Link]]
-"""The window around the moment at which a reason arose to links."""
+"""Finds the evidence in the window around the moment at which a reason arose."""
 
 _ABSURD: Final = {signal: rule.maximum for _, signal, rule in RULES if isinstance(rule, Within)}
 
 WAITED_NS: Final = 1_000_000
-"""Reading a frame takes less; one that waited for longer is reported to have waited."""
+"""A frame that waited for longer than this is reported with its wait."""
 
 LATELY_NS: Final = 3_000_000_000
-"""A refusal that was longer ago is none of the moment's."""
+"""Refusals within this time before the moment are shown."""
 
 _FRAMES: Final = "the frames of this time"
-_REQUESTS: Final = "the requests of this time, or some of them"
+_REQUESTS: Final = "the requests of this time"
 
 
 # Frames of the chassis.
 
 
 def _turned(signal: str, value: int, word: str = "") -> Finder:
-    """The first of the last frames of the body that have this value."""
+    """The first body frame with this value."""
 
     def found(window: EvidenceWindow) -> list[Link]:
         first: DecodedFrame | None = None
@@ -78,11 +78,11 @@ def _turned(signal: str, value: int, word: str = "") -> Finder:
             if read == value:
                 first = frame
             elif first is not None or frame.time_ns < window.at_ns - SAFETY_STATE_PERIOD_NS - TICK_NS:
-                was = f"; the last one that did not, {window.ago(frame.time_ns)}, said {read:g}"
+                was = f"; the last one before it, {window.ago(frame.time_ns)}, read {read:g}"
                 break
         if first is None:
-            return [missing("the frame of the body that shows it")]
-        text = f"frame {first} said {signal} = {word or value}, {window.ago(first.time_ns)}{_waited(first)}{was}"
+            return [missing("the body frame that shows it")]
+        text = f"frame {first} read {signal} = {word or value}, {window.ago(first.time_ns)}{_waited(first)}{was}"
         before_ms = (window.at_ns - first.time_ns) / 1e6
         data = {"bytes": first.data.hex(), "signal": signal, "value": value, "before_ms": before_ms}
         return [evidence(text, first.time_ns, identifier=f"0x{first.identifier:08X}", **data)]
@@ -96,7 +96,7 @@ _STOP: Final = _turned("Mode", 2, "stop")
 
 
 def _frames(window: EvidenceWindow) -> list[Link]:
-    """The frames of the second before the moment, of each that the arbiter names or misses."""
+    """The frames that the arbiter names or misses, in the second before the moment."""
     state = window.last(RobotState)
     names = window.named_frames or (state.said.silent if state is not None else [])
     if not names or not window.has_frames:
@@ -106,7 +106,7 @@ def _frames(window: EvidenceWindow) -> list[Link]:
 
 
 def _frame(window: EvidenceWindow, name: str) -> Link:
-    """The last good frame and the bad ones: not whole, not valid, or with the counter of the one before."""
+    """The last valid frame and the bad ones: wrong checksum, not valid, or with an old counter."""
     identifier = IDENTIFIERS[name]
     frames, waiting, limit_ns = window.frames(identifier), window.waiting(identifier), silence_ns(name)
     good: DecodedFrame | None = None
@@ -118,14 +118,14 @@ def _frame(window: EvidenceWindow, name: str) -> Link:
     lately = [frame for frame in frames if frame.time_ns >= since_ns]
     broken = [frame for frame in lately if not frame.is_whole]
     data = {"name": name, "identifier": f"0x{identifier:08X}", "limit_ms": limit_ns / 1e6, "waiting": len(waiting)}
-    text = f"no good {name} (0x{identifier:08X}) came in the seconds before"
+    text = f"no valid {name} (0x{identifier:08X}) was received in the seconds before"
     if good is not None:
         age_ns = window.at_ns - good.time_ns
         data |= {"age_ms": age_ns / 1e6, "bus_age_ms": (age_ns + good.waited_ns) / 1e6, "bytes": good.data.hex()}
-        text = f"the last good {name} came {window.ago(good.time_ns)}{_waited(good)}: {good}"
+        text = f"the last valid {name} was received {window.ago(good.time_ns)}{_waited(good)}: {good}"
     period_ns = BY_IDENTIFIER[identifier].period_ns
     text += f"; the limit is {span(limit_ns)} (its period is {period_ns / 1e6:.0f} ms)"
-    text += f"; the bus had {len(waiting)} more, which the arbiter had not been given" if waiting else ""
+    text += f"; {len(waiting)} more were on the bus, not read yet" if waiting else ""
     if broken:
         last = broken[-1]
         text += f"; in the second before {len(broken)} of {count(len(lately), 'frame')} had a wrong checksum, "
@@ -137,12 +137,12 @@ def _frame(window: EvidenceWindow, name: str) -> Link:
 
 
 def _waited(frame: DecodedFrame) -> str:
-    """The time between the bus and the arbiter in words, to be put behind the frame's time."""
-    return f" (the bus had it {span(frame.waited_ns)} earlier)" if frame.waited_ns >= WAITED_NS else ""
+    """The time from the bus to the arbiter in words, after a frame's time."""
+    return f" (on the bus {span(frame.waited_ns)} earlier)" if frame.waited_ns >= WAITED_NS else ""
 
 
 def _absurd(window: EvidenceWindow, name: str) -> Iterator[Link]:
-    """Frames with a right checksum and a value that this chassis cannot have."""
+    """Frames with a valid checksum and an impossible value."""
     found = []
     for frame in window.frames(IDENTIFIERS[name]):
         if frame.time_ns >= window.at_ns - CHECKSUM_WINDOW_NS and frame.is_whole:
@@ -151,47 +151,47 @@ def _absurd(window: EvidenceWindow, name: str) -> Iterator[Link]:
     if len(found) >= IMPLAUSIBLE_FAULTS:
         frame, signal, value = found[-1]
         text = (
-            f"{name} said {signal} = {value:.2f}, beyond {_ABSURD[signal]:g}, the last time "
-            f"{window.ago(frame.time_ns)}: {frame}; {IMPLAUSIBLE_FAULTS} of these in a second are too many"
+            f"{name} read {signal} = {value:.2f}, beyond the limit {_ABSURD[signal]:g}, last "
+            f"{window.ago(frame.time_ns)}: {frame}; {IMPLAUSIBLE_FAULTS} of these in a second are a fault"
         )
         yield evidence(text, frame.time_ns, name=name, signal=signal, value=float(value), limit=_ABSURD[signal])
 
 
 def _speeds(window: EvidenceWindow) -> list[Link]:
-    """Wheels, drive feedback and command side by side."""
+    """The speeds of wheels, drive feedback and command."""
     wheels, drive, state = window.last(WheelSpeed), window.last(Drive), window.last(SafetyState, window.at_ns - 1)
     if wheels is None or drive is None:
-        return [missing("the speeds of the chassis before this")]
+        return [missing("the chassis's speeds before this")]
     mean_mps = (wheels.said.rear_left_speed_mps + wheels.said.rear_right_speed_mps) / 2
     told_mps = None if state is None else state.said.output_speed_mps
-    text = f"the rear wheels turned at {mean_mps:.2f} m/s, the drive feedback said {drive.said.speed_mps:.2f} m/s"
-    text += "" if told_mps is None else f", commanded was {mps(told_mps)}"
+    text = f"the rear wheels read {mean_mps:.2f} m/s, the drive feedback {drive.said.speed_mps:.2f} m/s"
+    text += "" if told_mps is None else f", commanded {mps(told_mps)}"
     data = {"wheel_speed_mps": mean_mps, "drive_speed_mps": drive.said.speed_mps, "output_speed_mps": told_mps}
     return [evidence(text, wheels.time_ns, **data)]
 
 
 def _implausible(window: EvidenceWindow) -> list[Link]:
-    """Values that cannot be; else speeds that are too far apart."""
+    """Impossible values; else the speeds, which differ too much."""
     absurd = [link for name in ("Auto_DriveFeedBack", "Auto_WheelSpdFeedback") for link in _absurd(window, name)]
     return absurd or _speeds(window)
 
 
 def _steering(window: EvidenceWindow) -> list[Link]:
-    """The steering angle beside those that were commanded while it did not follow."""
+    """The steering angle and the commands that it did not follow."""
     seen = window.last(Steering)
     since_ns = window.at_ns - STEERING_DEVIATION_NS
     told = [
         one.said.output_angle_deg for one in window.until(SafetyState) if since_ns <= one.time_ns < window.at_ns
     ]
     if seen is None or not told:
-        return [missing("the steering angle, or what was commanded before this")]
-    text = f"the steering read {deg(seen.said.angle_deg)}, commanded was {deg(min(told))} to {deg(max(told))}; "
-    text += f"over {STEERING_DEVIATION_DEG:g} deg beside that for {span(STEERING_DEVIATION_NS)} does not follow"
+        return [missing("the steering angle, or the commands before this")]
+    text = f"the steering read {deg(seen.said.angle_deg)}, commanded {deg(min(told))} to {deg(max(told))}; "
+    text += f"a deviation over {STEERING_DEVIATION_DEG:g} deg for {span(STEERING_DEVIATION_NS)} is a fault"
     return [evidence(text, seen.time_ns, angle_deg=seen.said.angle_deg, output_angle_deg=told[0])]
 
 
 def _frozen(window: EvidenceWindow) -> list[Link]:
-    """The mileage that stood still while the robot drove."""
+    """The mileage, which did not change while the robot drove."""
     body = window.last(Body)
     if body is None or "mileage" not in window.detail:
         return _speeds(window)
@@ -203,19 +203,19 @@ def _commanders(window: EvidenceWindow) -> list[Link]:
     """Command frames on the bus that the gateway did not send."""
     near = window.commands_between(window.at_ns - COMMANDER_NS, window.at_ns + 1)
     if not near:
-        return [missing("the frames of the other computer")]
+        return [missing("the other computer's frames")]
     last = near[-1]
-    text = f"{count(len(near), 'command frame')} that this gateway did not send came in the "
+    text = f"{count(len(near), 'command frame')} that this gateway did not send arrived in the "
     text += f"{span(COMMANDER_NS)} up to {window.what}; the last: {last}"
     first_before_ms = (window.at_ns - near[0].time_ns) / 1e6
     return [evidence(text, last.time_ns, frames=len(near), first_before_ms=first_before_ms)]
 
 
-# What the gateway says of itself.
+# The gateway's own figures.
 
 
 def _health(*fields: str) -> Finder:
-    """These fields of the first health behind the moment, which tells of its second; else of the last before."""
+    """These fields of the first health after the moment, which covers it; else of the last before."""
 
     def found(window: EvidenceWindow) -> list[Link]:
         health = next(window.after(GatewayHealth), None) or window.last(GatewayHealth)
@@ -245,7 +245,7 @@ def _shown(value: object) -> str:
 
 
 def _bus(window: EvidenceWindow) -> list[Link]:
-    """The last frame that was received, and what the gateway says of the bus."""
+    """The last received frame, and the bus in the gateway's health."""
     heard = [frame for identifier in BY_IDENTIFIER for frame in list(window.frames(identifier))[-1:]]
     last = max(heard, key=lambda frame: frame.time_ns, default=None)
     if last is None:
@@ -261,62 +261,62 @@ def _load(window: EvidenceWindow) -> list[Link]:
     found = []
     if window.has_frames:
         waiting = sum(len(window.waiting(identifier)) for identifier in BY_IDENTIFIER)
-        text = f"the arbiter was given {count(window.received, 'frame')} in the second before; "
-        text += f"frames that are not all read for {span(BEHIND_NS)} are too many"
-        text += f"; the arbiter had not been given {waiting} that the bus had" if waiting else ""
+        text = f"the arbiter read {count(window.received, 'frame')} in the second before; "
+        text += f"unread frames for {span(BEHIND_NS)} are a fault"
+        text += f"; {waiting} were on the bus, not read yet" if waiting else ""
         found.append(evidence(text, window.at_ns, frames_per_s=window.received, waiting=waiting))
     return found + _health("frames_per_s", "bus_drops", "cpu_percent")(window)
 
 
 def _unsent(window: EvidenceWindow) -> list[Link]:
-    """The number of frames that went out."""
+    """The number of frames that were sent."""
     short = [
         one for one in window.until(Decision) if one.time_ns > window.at_ns - 10**9 and one.said.frames_sent < 5
     ]
     if not short:
         return [missing(_REQUESTS)]
     least, most = (pick(one.said.frames_sent for one in short) for pick in (min, max))
-    text = f"in the second before, {least} to {most} of five frames went out in {count(len(short), 'tick')} "
-    text += f"with a request; {SEND_FAILURES} ticks in a row whose frames the bus does not take are a failure"
+    text = f"in the second before, {least} to {most} of five frames were sent in {count(len(short), 'tick')} "
+    text += f"with a request; {SEND_FAILURES} such ticks in a row are a fault"
     return [evidence(text, short[0].time_ns, decisions=len(short), frames_sent_min=least)]
 
 
 def _found_moving(window: EvidenceWindow) -> list[Link]:
-    """In auto, and moving, and no client commands."""
+    """The motion in auto without a client, and what had ended the command before."""
     drive = window.last(Drive)
-    # That a guard is there, or is gone, is of its kind too, and has no reason.
+    # A guard's arrival or loss has this kind too, and no reason.
     events = (one for one in window.until(SafetyEvent) if one.said.reason is not Reason.NONE)
     left = next((one for one in events if one.said.kind in {EventKind.TAKEOVER, EventKind.GUARD}), None)
     found = []
     if left is not None:
-        text = f"it had been left to itself or to others {window.ago(left.time_ns)}: {left.said.text}"
+        text = f"the gateway had let go of it {window.ago(left.time_ns)}: {left.said.text}"
         found.append(evidence(text, left.time_ns, reason=left.said.reason.value))
     if drive is None:
         return [*found, missing("the chassis's speed before this"), *_AUTO(window)]
-    text = f"the drive feedback said {drive.said.speed_mps:.2f} m/s, {window.ago(drive.time_ns)}; in auto it may "
-    text += f"move for {span(FOUND_MOVING_NS)}, and not at all if it had been left"
+    text = f"the drive feedback read {drive.said.speed_mps:.2f} m/s {window.ago(drive.time_ns)}; without a client "
+    text += f"it may move for {span(FOUND_MOVING_NS)}, and not at all after the gateway let go of it"
     return [*found, evidence(text, drive.time_ns, speed_mps=drive.said.speed_mps), *_AUTO(window)]
 
 
 # Requests.
 
 _FRESH: Final = frozenset({Reason.NONE, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.STOPPING})
-"""Outcomes of a fresh drive command of the holder: it keeps the lease, executed or not."""
+"""Outcomes of the holder's fresh drive command: it renews the lease, executed or not."""
 
 _RENEWING: Final = frozenset({"acquire", "take", "renew", "engage", "reset"})
-"""Requests that keep the lease, once accepted."""
+"""Requests that renew the lease, once accepted."""
 
 _LEFT: Final = frozenset({EventKind.STOPPED, EventKind.TAKEOVER, EventKind.GUARD})
 
 
 def last_command(window: EvidenceWindow) -> Heard[Decision] | None:
-    """Return the last acceptable drive command to an engaged robot: earlier ones do not count."""
+    """The last acceptable drive command since the robot was engaged."""
     left, last = _left_or_engaged(window), _last(window, _is_obeyed)
     return None if last is None or (left is not None and last.said.tick <= left.said.tick) else last
 
 
 def describe_command(window: EvidenceWindow) -> list[Link]:
-    """The command at the moment, its operator, and what bound it."""
+    """The command at the moment, its operator, and what limited it."""
     last = last_command(window)
     if last is None:
         left = _left_or_engaged(window)
@@ -325,26 +325,26 @@ def describe_command(window: EvidenceWindow) -> list[Link]:
         text = f"no drive command was accepted since it was engaged, {window.ago(left.time_ns)}"
         return [evidence(text), *_holes(window)] if left.said.kind is EventKind.ENGAGED else []
     said, bounds = last.said, [bound.value for bound in last.said.bound_by]
-    text = f"the last acceptable drive command, seq {said.request_sequence} of {_who(said)}, came "
-    text += f"{window.ago(last.time_ns)} and asked for {_asked(said)}; "
-    text += f"commanded was {mps(said.output_speed_mps)}, {deg(said.output_angle_deg)}" if said.frames_sent else ""
-    text += "" if said.frames_sent else "no frame went out in its tick"
-    text += f"; bound by: {', '.join(bounds).replace('_', ' ')}" if bounds else ""
+    text = f"the last acceptable drive command, seq {said.request_sequence} from {_who(said)}, came "
+    text += f"{window.ago(last.time_ns)} and requested {_asked(said)}; "
+    text += f"commanded {mps(said.output_speed_mps)}, {deg(said.output_angle_deg)}" if said.frames_sent else ""
+    text += "" if said.frames_sent else "no frame was sent in its tick"
+    text += f"; limited by: {', '.join(bounds).replace('_', ' ')}" if bounds else ""
     return [evidence(text, last.time_ns, **_numbers(said), bound_by=bounds)]
 
 
 def _deadman(window: EvidenceWindow) -> list[Link]:
-    """The last acceptable drive command, its age, and its successors."""
+    """The last acceptable drive command, its age, and the refused ones after it."""
     limit_ns, origin = round(window.limits.command.deadman_s * 1e9), window.limits.origin
     state = window.last(SafetyState)
     if state is not None and state.said.deadman_s * 1e9 > limit_ns:
-        limit_ns, origin = round(state.said.deadman_s * 1e9), "as engage asked for"
+        limit_ns, origin = round(state.said.deadman_s * 1e9), "requested by engage"
     last = last_command(window) or _left_or_engaged(window)
     if last is None or not window.during(Decision):
         return [missing(_REQUESTS)]
     if isinstance(last.said, Decision):
-        text = f"the last acceptable drive command was seq {last.said.request_sequence} of {_who(last.said)}, "
-        text += f"judged in tick {last.said.tick}, {window.ago(last.time_ns)}: {_asked(last.said)}"
+        text = f"the last acceptable drive command was seq {last.said.request_sequence} from {_who(last.said)}, "
+        text += f"in tick {last.said.tick}, {window.ago(last.time_ns)}: {_asked(last.said)}"
         data = {**_numbers(last.said), "silent_ms": (window.at_ns - last.time_ns) / 1e6}
     else:
         text = f"no drive command was accepted since it was engaged, {window.ago(last.time_ns)}"
@@ -355,19 +355,19 @@ def _deadman(window: EvidenceWindow) -> list[Link]:
         window, [one for one in _refused_until(window, last.time_ns) if one.said.request == "drive"]
     )
     if len(found) == 1 and not window.lacks_decisions:
-        found.append(evidence("no drive command at all came after it, neither good nor bad"))
+        found.append(evidence("no drive command followed, accepted or refused"))
     return found + _holes(window)
 
 
 def _refused_until(window: EvidenceWindow, from_ns: int) -> Iterator[Heard[Decision]]:
-    """The refusals between a time and the moment."""
+    """The refusals from a time to the moment."""
     for one in window.all(Decision):
         if from_ns < one.time_ns <= window.at_ns and not _is_accepted(one.said):
             yield one
 
 
 def _refusals_of(window: EvidenceWindow, heard: Sequence[Heard[Decision]]) -> list[Link]:
-    """A link for each operator, verb and reason."""
+    """One link for each operator, verb and reason."""
     alike: dict[tuple[str, str, Reason], list[Heard[Decision]]] = {}
     for one in heard:
         alike.setdefault((one.said.operator, one.said.request, one.said.reason), []).append(one)
@@ -377,11 +377,11 @@ def _refusals_of(window: EvidenceWindow, heard: Sequence[Heard[Decision]]) -> li
 def _refusals(window: EvidenceWindow, heard: Sequence[Heard[Decision]]) -> Link:
     last = heard[-1]
     said = last.said
-    verb = said.request or "nameless"
-    text = f"one {verb} request of {_who(said)} was refused {window.ago(last.time_ns)}"
+    verb = said.request or "unnamed"
+    text = f"one {verb} request from {_who(said)} was refused {window.ago(last.time_ns)}"
     if len(heard) > 1:
-        text = f"{len(heard)} {verb} requests of {_who(said)} were refused, the first "
-        text += f"{span(last.time_ns - heard[0].time_ns)} before the last, which was {window.ago(last.time_ns)}"
+        text = f"{len(heard)} {verb} requests from {_who(said)} were refused within "
+        text += f"{span(last.time_ns - heard[0].time_ns)}, the last {window.ago(last.time_ns)}"
     text += f": {said.detail or TEXTS[said.reason].means}"
     if said.request_sequence is not None:
         age = "" if said.age_ms is None else f", {said.age_ms:.0f} ms old"
@@ -390,12 +390,12 @@ def _refusals(window: EvidenceWindow, heard: Sequence[Heard[Decision]]) -> Link:
 
 
 def refused_lately(window: EvidenceWindow) -> list[Link]:
-    """All that was refused right before the moment."""
+    """The refusals shortly before the moment."""
     return _refusals_of(window, list(_refused_until(window, window.at_ns - LATELY_NS)))
 
 
 def _refused(reason: Reason) -> Finder:
-    """The requests that were refused for this reason; nothing if none was."""
+    """The requests that were refused for this reason."""
 
     def found(window: EvidenceWindow) -> list[Link]:
         return _refusals_of(window, [one for one in _refused_until(window, 0) if one.said.reason is reason])
@@ -404,19 +404,19 @@ def _refused(reason: Reason) -> Finder:
 
 
 def _lease_expired(window: EvidenceWindow) -> list[Link]:
-    """The last sign of the lease's holder, and its age."""
+    """The last request that renewed the lease, and its age."""
     limit_ns = round(window.limits.command.lease_s * 1e9)
     last = _last(window, _is_renewing)
     if last is None:
         return [missing(_REQUESTS)]
-    text = f"the last request that kept the lease was {last.said.request} of {_who(last.said)}, "
+    text = f"the last request that renewed the lease was {last.said.request} from {_who(last.said)}, "
     text += f"{window.ago(last.time_ns)}; a lease lasts {span(limit_ns)} ({window.limits.origin})"
     data = {"silent_ms": (window.at_ns - last.time_ns) / 1e6, "limit_ms": limit_ns / 1e6}
     return [evidence(text, last.time_ns, **_numbers(last.said), **data), *_holes(window)]
 
 
 def _asked_for(*verbs: str) -> Finder:
-    """The request that did it; a stop is latched although it is refused."""
+    """The request that caused it; a stop is latched even if it is refused."""
 
     def did_it(said: Decision) -> bool:
         return said.request in verbs and (_is_accepted(said) or said.request == "stop")
@@ -426,7 +426,7 @@ def _asked_for(*verbs: str) -> Finder:
         if last is None:
             return [missing(f"the request itself ({' or '.join(verbs)})")]
         said = last.said
-        text = f"the request was {said.request}, of {_who(said)}, judged in tick {said.tick}"
+        text = f"the request was {said.request} from {_who(said)}, in tick {said.tick}"
         text += f", {window.ago(last.time_ns)}" if abs(last.time_ns - window.at_ns) > TICK_NS else ""
         text += "" if _is_accepted(said) else f"; it was refused: {said.detail or TEXTS[said.reason].means}"
         return [evidence(text, last.time_ns, **_numbers(said))]
@@ -441,16 +441,16 @@ def _not_confirmed(window: EvidenceWindow) -> list[Link]:
 
 
 def _left_or_engaged(window: EvidenceWindow) -> Heard[SafetyEvent] | None:
-    """The event with which the last drive commands began, or ended, to count."""
+    """The last event that began or ended an engagement."""
     for one in window.until(SafetyEvent):
-        # That a guard is there, or is gone, has no reason.
+        # A guard's arrival or loss has no reason.
         if one.said.kind is EventKind.ENGAGED or (one.said.kind in _LEFT and one.said.reason is not Reason.NONE):
             return one
     return None
 
 
 def _last(window: EvidenceWindow, test: Callable[[Decision], bool], later_ns: int = 0) -> Heard[Decision] | None:
-    """Return the last decision of this sort; one of the moment's own tick comes a bit later than the event."""
+    """The last decision of this sort; that of the moment's own tick comes a little after the event."""
     return next((one for one in window.until(Decision, window.at_ns + later_ns) if test(one.said)), None)
 
 
@@ -470,7 +470,7 @@ def _is_renewing(said: Decision) -> bool:
 
 def _asked(said: Decision) -> str:
     speed, angle = said.requested_speed_mps, said.requested_angle_deg
-    return "nothing that the log holds" if speed is None or angle is None else f"{mps(speed)}, {deg(angle)}"
+    return "a motion that is not in the log" if speed is None or angle is None else f"{mps(speed)}, {deg(angle)}"
 
 
 def _who(said: Decision) -> str:
@@ -526,13 +526,13 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
     Reason.SEND_FAILED: _unsent,
     Reason.GATE: _unsent,
     Reason.NO_REALTIME: _health("realtime", "cpu_percent"),
-    # Their own words say all.
+    # Their texts say all.
     **dict.fromkeys((Reason.NONE, Reason.GUARD, Reason.UNGUARDED, Reason.SHUTDOWN), lambda _: []),
     **dict.fromkeys((Reason.GRANT_EXPIRED, Reason.GRANT_REVOKED), lambda _: []),
 }
-"""The finder of each reason; of every other one it is the requests that were refused for it."""
+"""The finder of each reason; for any other it is ``_refused``."""
 
 
 def evidence_of(reason: Reason) -> Finder:
-    """The finder of the evidence for a reason."""
+    """The finder for a reason."""
     return EVIDENCE.get(reason) or _refused(reason)

@@ -1,9 +1,7 @@
-"""Logs as they describe themselves: contents, losses, and robots, for the layouts that a log is opened with.
+"""The contents of logs by their own account: channels, losses and robots.
 
-The contents of a log, from its end and its recorder's records: no chunk of a whole log is unpacked.
-
-A file without such an end (a part, a damaged one, or one of somebody who writes none) is gone through record by
-record, by the heads of its chunks. Whether all of it is true, and nothing missing, is another question: ``check``.
+It is read from the end of a file and its recorder's metadata, without unpacking a chunk; a file without such an
+end is read record by record. ``check`` verifies that it is true.
 """
 
 from __future__ import annotations
@@ -28,7 +26,7 @@ from schemas import keys
 from schemas.subjects import RECORDER_CHUNK
 
 CUT_NAME: Final = "cruiser.cut"
-"""The metadata record of a part of a log: which time and topics it is, and of which files."""
+"""The metadata record of a part of a log: its time, topics and source files."""
 
 
 class LogSourceInfo(Enum):
@@ -42,7 +40,7 @@ class ChannelInfo(msgspec.Struct, frozen=True):
     """A channel.
 
     Attributes:
-        first_ns, last_ns: log times; None for a channel without messages, or where its index cannot be read.
+        first_ns, last_ns: log times; None without messages or a readable index.
         rate_hz: mean over the channel's own span; None for fewer than two messages.
     """
 
@@ -56,7 +54,7 @@ class ChannelInfo(msgspec.Struct, frozen=True):
 
 
 class AttachmentInfo(msgspec.Struct, frozen=True):
-    """An attachment."""
+    """An attachment of a log."""
 
     name: str
     media_type: str
@@ -67,18 +65,17 @@ class LogInfo(msgspec.Struct, frozen=True):
     """A log.
 
     Attributes:
-        whole: the file was closed properly. Its data may be damaged all the same: ``check`` looks at it.
-        is_being_written: a recorder has it open; that it is not whole yet is no fault.
-        source: the origin of all this: the summary at the file's end, or its records one by one.
-        faults: those of the file, as far as it is read; ``fault_count``, the first ones listed.
-        robots: the robots' names, by its recorder, or else by its topics.
-        variants: the firmware variant of each robot that published it.
-        versions: of the recorder, and of each robot's gateway.
+        whole: the file was closed properly; its data may still be damaged (``check``).
+        is_being_written: a recorder has it open, so it is not whole yet.
+        source: where this was read from.
+        faults: the first faults of the file; ``fault_count``, all of them.
+        robots: names, by the recorder's metadata, or else by the topics.
+        versions: of the recorder and of each robot's gateway.
         metadata: all metadata records by name, the last of each.
-        completeness: the recorder's own account of each topic while it wrote this log; empty if it gives none.
-        is_cut: this is a part of what the account is about.
-        incidents: the other file, time and reason, where this is an incident or one was kept of it: each of them.
-        incident: the last one of these.
+        completeness: the recorder's account of losses by topic; empty if it gives none.
+        is_cut: this is a part of the log that ``completeness`` is about.
+        incidents: file, time and reason of each incident of this log, or of the log of this incident.
+        incident: the last of ``incidents``.
     """
 
     path: str
@@ -105,10 +102,10 @@ class LogInfo(msgspec.Struct, frozen=True):
 
 
 class LogBrief(msgspec.Struct, frozen=True, kw_only=True):
-    """A log of many, in a line; the fields are those of ``LogInfo``.
+    """A log in a line, with fields of ``LogInfo``.
 
     Attributes:
-        lost: samples and messages, as its recorder says; None if it does not.
+        lost: samples and messages, by the recorder's account; None without one.
     """
 
     path: str
@@ -127,8 +124,8 @@ class SetInfo(msgspec.Struct, frozen=True):
     """Several logs together.
 
     Attributes:
-        files: their number; ``whole`` of them were closed properly.
-        duration_s: from the first message to the last; there may be none in between.
+        whole: number of files that were closed properly.
+        duration_s: from the first message to the last.
     """
 
     files: int
@@ -142,17 +139,13 @@ class SetInfo(msgspec.Struct, frozen=True):
 
 
 def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
-    """Read what a log holds.
-
-    Raises:
-        CommandError: there is no such file, or it is no MCAP file.
-    """
+    """Read what a log holds. Raises CommandError if there is no such file, or it is not an MCAP file."""
     with open_log(path) as (stream, size):
         return _read(stream, size, str(path), progress, is_written=is_being_written(stream))
 
 
 def brief(info: LogInfo) -> LogBrief:
-    """The same in short."""
+    """A log in a line."""
     return LogBrief(
         path=info.path,
         bytes=info.bytes,
@@ -168,12 +161,12 @@ def brief(info: LogInfo) -> LogBrief:
 
 
 def lost(info: LogInfo) -> int | None:
-    """The samples and messages that were lost, as the recorder says; None if it does not."""
+    """The number of lost samples and messages, by the recorder's account; None without one."""
     return sum(one.lost for one in info.completeness.values()) if info.completeness else None
 
 
 def total(infos: Sequence[LogInfo | LogBrief]) -> SetInfo:
-    """Of several logs."""
+    """Several logs together."""
     start_ns = min((info.start_ns for info in infos if info.start_ns is not None), default=None)
     end_ns = max((info.end_ns for info in infos if info.end_ns is not None), default=None)
     return SetInfo(
@@ -249,14 +242,14 @@ def _channels(contents: Contents) -> Iterable[ChannelInfo]:
 
 
 def _incidents(contents: Contents) -> list[dict[str, str]]:
-    """Each once. An incident that was begun without a log names none at first."""
+    """Each incident once. One that began before its log names no file at first."""
     found = [entries for name, entries in contents.metadata if name == INCIDENT_NAME]
     found = [one for number, one in enumerate(found) if one not in found[:number]]
     return [one for one in found if one.get("file")] or found
 
 
 def _robots(channels: Iterable[ChannelInfo]) -> list[str]:
-    """The robots whose keys these are."""
+    """The robots of these topics."""
     parts = [keys.parse(channel.topic) for channel in channels if channel.messages]
     return sorted({one.robot for one in parts if one is not None and one.robot}, key=keys.in_order)
 
@@ -266,7 +259,7 @@ def _seconds(start_ns: int | None, end_ns: int | None) -> float:
 
 
 def _completeness(entries: dict[str, str]) -> dict[str, KeyReport]:
-    """The account of each topic; what is no such account is left out."""
+    """The readable accounts by topic."""
     reports = {}
     for topic, text in sorted(entries.items()):
         with suppress(msgspec.MsgspecError):
@@ -280,7 +273,7 @@ def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[RobotKeys]:
 
 
 def robots_in(topics: Iterable[Topic]) -> list[RobotKeys]:
-    """The robots that these topics are of; of several CAN buses the first by name."""
+    """The robots of these topics, each with its first CAN bus by name."""
     buses: dict[str, set[str]] = {}
     for topic in topics:
         parts = keys.parse(topic.name)

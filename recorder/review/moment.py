@@ -1,4 +1,4 @@
-"""A moment judged: what the robot and its arbiter did, a stop, the story of its runs."""
+"""One moment in words: what the robot and its arbiter did, a stop, and the story of its runs."""
 
 from __future__ import annotations
 
@@ -64,24 +64,24 @@ _PHASES: Final = {
 }
 
 _DOUBTFUL: Final = frozenset({Reason.IMPLAUSIBLE_SPEED, Reason.VARIANT_UNKNOWN})
-"""Reasons for which the reported speeds of the chassis are not to be believed."""
+"""Reasons that make the chassis's reported speeds unreliable."""
 
 _UNSEEN_NS: Final = 150_000_000
-"""Without drive feedback for so long, how far the robot came is not known."""
+"""Without drive feedback for longer, the distance is not known."""
 
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
 def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
-    """The course of a stop that began at the moment, for this reason."""
+    """The actions of a stop that began at the moment for this reason."""
     states = list(window.after(SafetyState, window.at_ns - 1))
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
     if stopping:
         yield from _ramp(window, stopping)
     elif reason is Reason.GUARD:
-        yield Link(Step.ACTION, "the gateway sends nothing: the guard has the chassis, and stops it", window.at_ns)
+        yield Link(Step.ACTION, "the gateway sends nothing: the guard stops the robot", window.at_ns)
     elif states and states[0].said.state is ArbiterState.STANDBY:
-        text = "the gateway sends nothing: the remote control, or the last command, moves the chassis"
+        text = "the gateway sends nothing: the remote control, or the last command, moves the robot"
         yield Link(Step.ACTION, text, states[0].time_ns)
     else:
         yield missing("the arbiter's states after this")
@@ -95,7 +95,7 @@ def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
 
 
 def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Iterator[Link]:
-    """The ramp of the commanded speed, and the beginning of each phase of the stop."""
+    """The ramp of the commanded speed, and the start of each phase."""
     was = window.last(SafetyState, window.at_ns - 1)
     zero = next((one for one in stopping if not one.said.output_speed_mps), None)
     if was is None or (zero is None and was.said.output_speed_mps):
@@ -123,7 +123,7 @@ def _ramp(window: EvidenceWindow, stopping: Sequence[Heard[SafetyState]]) -> Ite
 
 
 def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Link:
-    """The standstill of the chassis, and its way until then, by its drive feedback until this was over."""
+    """The time and distance to standstill, by the drive feedback up to ``over_ns``."""
     last = window.last(Drive)
     way = [one for one in (last, *window.after(Drive)) if one is not None and one.time_ns < over_ns]
     if len(way) < 2:
@@ -142,11 +142,11 @@ def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Li
         passed_ns = max(0, now.time_ns - max(was.time_ns, window.at_ns))
         metres += (was.said.speed_mps + now.said.speed_mps) / 2 * passed_ns / 1e9
     if stood is None:
-        text = f"the last drive feedback, {window.ago(way[-1].time_ns)}, still said "
+        text = f"the last drive feedback, {window.ago(way[-1].time_ns)}, still read "
         return Link(Step.ACTION, f"{text}{way[-1].said.speed_mps:.2f} m/s", way[-1].time_ns)
     is_known = unseen_ns <= _UNSEEN_NS and not is_doubtful
     why = "the speeds are in doubt" if is_doubtful else f"no drive feedback for {span(unseen_ns)}"
-    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was slower than {STANDSTILL_MPS:g} m/s after "
+    text = f"the robot, at {way[0].said.speed_mps:.2f} m/s, was below {STANDSTILL_MPS:g} m/s after "
     text += f"{span(stood.time_ns - window.at_ns)}"
     text += f" and {metres:.2f} m" if is_known else f"; {why}: the distance is not known"
     data = {
@@ -158,13 +158,13 @@ def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Li
 
 
 FRESH_NS: Final = 500_000_000
-"""Feedback that is older is no longer what the robot does; the slowest frame comes every 50 ms."""
+"""Older feedback does not describe the moment; the slowest frame comes every 50 ms."""
 
 _STILL_MPS: Final = 0.005
 """Speeds below this are shown as 0.00 m/s."""
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
-"""Reasons that block a robot that no client has engaged: they are shown by that."""
+"""Reasons that only say that the robot is not engaged."""
 
 _PASSING: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.GEAR_SHIFTING})
 """Reasons that end by themselves."""
@@ -176,7 +176,7 @@ _WAYS: Final = {GearPosition.REVERSE: "backward ", GearPosition.DRIVE: "forward 
 
 
 def motion(now: EvidenceWindow) -> Link:
-    """The motion of the robot, by its feedback; by its state where the frames are not in the log."""
+    """The robot's motion, by its feedback; by its state if the feedback is not in the log."""
     drive, state = _fresh(now, Drive), _fresh(now, RobotState)
     steering, gear = _fresh(now, Steering), _fresh(now, Gear)
     body, parking = _fresh(now, Body), _fresh(now, Parking)
@@ -205,20 +205,20 @@ def motion(now: EvidenceWindow) -> Link:
 
 
 def _stood(speed_mps: float) -> str:
-    """Words for a robot that counts as standing; it may still roll, or begin to."""
-    return "stood" if speed_mps < _STILL_MPS else f"hardly moved, at {speed_mps:.2f} m/s"
+    """A robot that counts as standing in words; it may still roll."""
+    return "stood" if speed_mps < _STILL_MPS else f"barely moved, at {speed_mps:.2f} m/s"
 
 
 def arbiter(state: SafetyState | None) -> Link:
-    """The state of the arbiter, and the holder of the lease."""
+    """The arbiter's state and the holder of the lease."""
     if state is None:
         return missing("the arbiter's state at this moment")
     text = f"the arbiter was {state.state.value}"
     if state.stop_phase is not StopPhase.IDLE:
-        text += f" ({state.stop_phase.value}), because of {state.stop_reason.value}"
+        text += f" ({state.stop_phase.value}) because of {state.stop_reason.value}"
     if state.lease_holder:
         text += f"; {state.lease_holder} held the lease as {state.lease_role.value}"
-        text += f", for {state.lease_expires_s:.1f} s more"
+        text += f" with {state.lease_expires_s:.1f} s left"
     else:
         text += "; the lease was free"
     if state.state in COMMANDING:
@@ -244,7 +244,8 @@ def headline(
     when = "" if focus is None else before(focus.time_ns, now.at_ns)
     soon = ""
     if focus is not None and focus.time_ns > now.at_ns:
-        soon = f"; {span(focus.time_ns - now.at_ns)} later {'a stop began' if is_stop else 'it was let go'}: {why}"
+        began = "a stop began" if is_stop else "the gateway let go"
+        soon = f"; {span(focus.time_ns - now.at_ns)} later {began}: {why}"
     if state is None:
         last = "." if focus is None else f". The last stop was {when}: {why}."
         return f"Not in the log: what the arbiter did then{last}"
@@ -259,18 +260,18 @@ def headline(
                 last = f", and was latched {before(latch.time_ns, now.at_ns)}: {cause_of(latch)}{last}"
             return f"It was not engaged{last}."
         case ArbiterState.ENGAGING:
-            return f"It was being engaged: the chassis did not read auto yet{soon}."
+            return f"It was being engaged: the chassis did not yet report auto{soon}."
         case _:
             return f"{_engaged(now, state)}{soon}."
 
 
 def cause_of(entry: Entry) -> str:
-    """The cause of a stop, without the word that it is one."""
+    """The text of a stop without its first word."""
     return entry.text.partition(": ")[2] or entry.text
 
 
 def _engaged(now: EvidenceWindow, state: SafetyState) -> str:
-    """The motion of an engaged robot in words."""
+    """An engaged robot in words: its motion, or why it stood."""
     drive, robot = _fresh(now, Drive), _fresh(now, RobotState)
     speed_mps = drive.said.speed_mps if drive is not None else None if robot is None else robot.said.speed_mps
     if speed_mps is not None and speed_mps >= STANDSTILL_MPS:
@@ -283,7 +284,7 @@ def _engaged(now: EvidenceWindow, state: SafetyState) -> str:
         return f"It was engaged and {did}: {_in_words(blocking)}"
     last = last_command(now)
     if last is None:
-        return f"It was engaged and {did}: no drive command to it is in the log"
+        return f"It was engaged and {did}: no drive command is in the log"
     asked_mps = round(last.said.requested_speed_mps or 0.0, 2)
     if asked_mps:
         return f"It was engaged, requested {mps(asked_mps)}, commanded 0.00 m/s, and {did}"
@@ -291,9 +292,9 @@ def _engaged(now: EvidenceWindow, state: SafetyState) -> str:
 
 
 def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
-    """Return the reasons that kept an engaged robot from moving; none if its command was to move.
+    """The reasons that kept an engaged robot from moving; none if it was commanded to move.
 
-    A pressed bumper forbids one direction alone: it counts if that one was asked for.
+    A pressed bumper counts only if its direction was requested.
     """
     if round(state.output_speed_mps, 2):
         return []
@@ -303,7 +304,7 @@ def kept_by(now: EvidenceWindow, state: SafetyState) -> list[Reason]:
 
 
 def blocks(reason: Reason, now: EvidenceWindow, state: SafetyState) -> bool:
-    """Report whether a reason is in the way; a pressed bumper is not if the robot goes away from it."""
+    """True if a reason blocks the robot; a pressed bumper does not if the robot drives away from it."""
     if state.state is not ArbiterState.ENGAGED:
         return True
     if reason in _FORBIDS:
@@ -312,11 +313,11 @@ def blocks(reason: Reason, now: EvidenceWindow, state: SafetyState) -> bool:
 
 
 def blocked_words(reason: Reason, state: SafetyState) -> str:
-    """The meaning of a reason that blocks for a robot in this state."""
+    """A blocking reason in words for a robot in this state."""
     means = OF_A_ROBOT[reason].means
     match state.state:
         case ArbiterState.ENGAGED if reason in _FORBIDS:
-            return f"it could not be driven {_FORBIDS[reason][1]}: {means}, and was pressed still"
+            return f"it could not be driven {_FORBIDS[reason][1]}: {means}, and is still pressed"
         case ArbiterState.ENGAGED:
             return f"no speed was commanded: {means}"
         case ArbiterState.STOPPING:
@@ -326,7 +327,7 @@ def blocked_words(reason: Reason, state: SafetyState) -> str:
 
 
 def cures(reason: Reason, robot: str, beside: Collection[Reason] = (), *, is_reset: bool) -> Iterator[Link]:
-    """Return the cure of a reason; if it is no longer latched, the rest that remains after the reset."""
+    """Yield the cure of a reason; after a reset, what remains to be done."""
     cure = of_a_robot(reason, beside).cure
     cure = cure.rpartition(RESET)[2] if is_reset else cure
     if cure and reason not in _PASSING:
@@ -356,15 +357,15 @@ _TELLS: Final = ENDS | {
 
 
 class GatewaySilence(msgspec.Struct, frozen=True):
-    """A gateway that said nothing for a while: it died, another run follows, or its loop stood still.
+    """A time without states: the gateway died, restarted, or its loop hung.
 
-    It is dated by the last state of its arbiter, as in ``events`` and ``report``.
+    It begins with the last state of its arbiter, as in ``events`` and ``report``.
 
     Attributes:
-        then: the first state behind it; None if the logs end with it.
-        is_hang: both are of one run.
+        then: the first state after it; None if the logs end with it.
+        is_hang: both states are of one run.
         was_told: the gateway shut down as requested, at rest.
-        text: what a recorder said of a death behind which no state comes.
+        text: a recorder's text on a death that no state follows.
     """
 
     was: Heard[SafetyState]
@@ -375,28 +376,25 @@ class GatewaySilence(msgspec.Struct, frozen=True):
 
     @property
     def time_ns(self) -> int:
-        """When it began."""
         return self.was.time_ns
 
     @property
     def end_ns(self) -> int:
-        """When it ended."""
         return END_OF_TIME_NS if self.then is None else self.then.time_ns
 
     @property
     def was_active(self) -> bool:
-        """The gateway commanded the robot, or stopped it."""
+        """True if the gateway commanded or stopped the robot."""
         return self.was.said.state is not ArbiterState.STANDBY
 
 
 class Story:
     """The entries of a robot, in order, and the silences of its gateways.
 
-    Times that are asked for are those of a clock that may have been set back, so that two moments can have one
-    time: the later is meant.
+    If the clock was set back, two moments can have one time: the later is meant.
 
     Attributes:
-        is_shared: two gateways speak under its name.
+        is_shared: two gateways use its name.
     """
 
     def __init__(self, entries: Iterable[Entry]) -> None:
@@ -404,7 +402,7 @@ class Story:
         self.silences: deque[GatewaySilence] = deque(maxlen=KEPT)
         self._offsets: list[tuple[int, int]] = []
         self._eras = [(0, END_OF_TIME_NS, 0)]
-        """The times between which the clock was not set back, and by how much it had been."""
+        """Times between steps back of the clock, each with the sum of the steps before."""
         ordered = []
         for entry in deque(entries, maxlen=KEPT):
             if entry.kind is EntryKind.CLOCK and entry.last_ns > entry.time_ns:
@@ -418,7 +416,7 @@ class Story:
 
     @classmethod
     def read(cls, robot: str, logs: Sequence[LogFile], faults: Faults, progress: Progress) -> Story:
-        """Read all that the arbiter says of itself, and what recorders say of the gateway."""
+        """Read the arbiter's events and states, and the recorders' events about the gateway."""
         wanted = {SafetyEvent, SafetyState, GatewayHealth}
         selection = Selection(
             lambda topic: topic.kind is RecorderEvent or (topic.robot == robot and topic.kind in wanted)
@@ -452,29 +450,29 @@ class Story:
         return story
 
     def order_ns(self, at_ns: int) -> int:
-        """The time as it would be had the clock never been set back."""
+        """The time without the steps back of the clock."""
         within = [set_ns for from_ns, to_ns, set_ns in self._eras if from_ns <= at_ns <= to_ns]
         return at_ns + (within[-1] if within else 0)
 
     def offset_ns(self, at_ns: int) -> int:
-        """To be added to the robot's clock around a moment; a clock that is behind is believed after a while."""
+        """The offset to add to the robot's times around a moment."""
         offsets = [offset_ns for log_ns, offset_ns in self._offsets if log_ns <= at_ns + SETTLE_NS + 1_000_000_000]
         return offsets[-1] if offsets else next((offset_ns for _, offset_ns in self._offsets), 0)
 
     def is_steady(self, at_ns: int) -> bool:
-        """No clock was set in the seconds around a moment."""
+        """True if no clock was set in the seconds around a moment."""
         clocks = (one.time_ns for one in self._entries if one.kind is EntryKind.CLOCK)
         return not any(at_ns - BEFORE_NS <= time_ns <= at_ns + AFTER_NS for time_ns in clocks)
 
     def last_stop(self) -> Entry | None:
-        """The last stop; where there was none, the last end that was asked for."""
+        """The last stop; without any, the last normal end."""
         either = (
             next((one for one in reversed(self._entries) if stops(one, kinds)), None) for kinds in (STOPS, ENDS)
         )
         return next(filter(None, either), None)
 
     def stop_before(self, at_ns: int) -> Entry | None:
-        """The last stop up to a time, if the robot has not been engaged since."""
+        """The last stop up to a time, unless the robot was engaged since."""
         found = (one for one in self.before(at_ns) if one.kind is EntryKind.ENGAGED or stops(one))
         last = next(found, None)
         return None if last is None or last.kind is EntryKind.ENGAGED else last
@@ -489,13 +487,13 @@ class Story:
         return next((one for one in latches if one.reason is reason), None)
 
     def reset_of(self, latch: Entry) -> Entry | None:
-        """The first reset of what was latched, in the run in which it was."""
+        """The first reset of a latch, in its run."""
         resets = (one for one in self.after(latch.time_ns) if one.kind is EntryKind.RESET)
         named = (one for one in resets if latch.reason.value in one.text.partition(": ")[2].split(", "))
         return next((one for one in named if None in (one.tick, latch.tick) or _of_run(one, latch.tick)), None)
 
     def of_run(self, tick: int) -> Iterator[Entry]:
-        """The entries of a run up to its first engagement: what it found."""
+        """The entries of a run up to its first engagement."""
         of_run = (one for one in self._entries if _of_run(one, tick))
         return takewhile(lambda one: one.kind is not EntryKind.ENGAGED, of_run)
 
@@ -509,7 +507,7 @@ class Story:
 
 
 def stops(entry: Entry, kinds: frozenset[EntryKind] = ENDS) -> bool:
-    """A stop begins, or goes on for a further cause: that a guard is there, or is gone, has no reason."""
+    """True if a stop begins or has a further cause; a guard's arrival or loss has no reason."""
     return entry.kind in kinds and entry.reason is not Reason.NONE and not entry.tells_of_guard
 
 

@@ -1,4 +1,4 @@
-"""Some seconds of one robot's logs around a moment, and the links of the chain that explains it."""
+"""The seconds of a robot's logs around a moment, and the links that explain it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from schemas.settings import SAFETY_STATE_PERIOD_NS, SILENCE_MIN_NS, SILENCE_PER
 
 
 class Step(Enum):
-    """The kind of a link: a fact, its cause, the reaction to it, or a gap of the log."""
+    """The kind of a link: a fact, a cause, a reaction, or a gap in the log."""
 
     MOTION = "motion"
     ARBITER = "arbiter"
@@ -67,7 +67,7 @@ class Step(Enum):
 
 
 class Link(msgspec.Struct, frozen=True):
-    """A link; ``data`` are its numbers, with the units in their names. It may be of no one time."""
+    """A sentence of an explanation; ``data`` are its numbers, with units in their names."""
 
     step: Step
     text: str
@@ -76,12 +76,12 @@ class Link(msgspec.Struct, frozen=True):
 
 
 def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:
-    """Make a link of what the log shows."""
+    """A link that says what the log shows."""
     return Link(Step.EVIDENCE, text, time_ns, data)
 
 
 def missing(what: str) -> Link:
-    """Make a link of what the log does not hold."""
+    """A link that says what is not in the log."""
     return Link(Step.MISSING, f"not in the log: {what}")
 
 
@@ -104,12 +104,12 @@ def before(time_ns: int, at_ns: int, what: str = "that moment") -> str:
 
 
 def deg(angle_deg: float) -> str:
-    """A signed angle; what would be shown as minus nothing is nothing."""
+    """A signed angle, without a minus before zero."""
     return f"{round(angle_deg, 1) + 0.0:.1f} deg"
 
 
 def mps(speed_mps: float) -> str:
-    """A signed speed; what would be shown as minus nothing is nothing."""
+    """A signed speed, without a minus before zero."""
     return f"{round(speed_mps, 2) + 0.0:.2f} m/s"
 
 
@@ -119,25 +119,25 @@ def count(number: int, one: str) -> str:
 
 
 BEFORE_NS: Final = 12_000_000_000
-"""Length of the window before its moment: the longest lease, and a bit."""
+"""Length of the window before its moment: a little more than the longest lease."""
 
 AFTER_NS: Final = 9_000_000_000
-"""Length of the window behind its moment: the longest stop takes 7 s, and a hold and the silence follow."""
+"""Length of the window after its moment: the longest stop takes 7 s, then hold and silence follow."""
 
 LATER_NS: Final = 900_000_000_000
-"""Time behind the moment in which decisions are looked for that a recorder asked for later."""
+"""Decisions that the recorder queried afterwards are searched for this long after the moment."""
 
 KEPT: Final = 5_000
-"""Messages of each class that a window holds, and frames of each identifier; the oldest go first."""
+"""Limit of messages of each class, and of frames of each identifier; the oldest are dropped."""
 
 REACH_NS: Final = 5_000_000_000
-"""A frame that waited for longer is of an adapter with another clock."""
+"""If a frame seems to have waited longer, the adapter has another clock."""
 
 LINK_NS: Final = 1_500_000_000
 """Longest usual time between publication and receipt."""
 
 STALL_NS: Final = 2_000_000_000
-"""No link delays a sample that it delivers for longer; it would be cut."""
+"""The longest delay of a sample that a link still delivers."""
 
 _TICKS_NEAR: Final = 500
 
@@ -145,14 +145,14 @@ Said = TypeVar("Said", bound=Message)
 
 
 class Heard(msgspec.Struct, Generic[Said], frozen=True):
-    """A message, and when it was."""
+    """A message and its time."""
 
     time_ns: int
     said: Said
 
 
 class DecodedFrame(msgspec.Struct, frozen=True):
-    """A raw frame of the chassis: when the arbiter was given it (``time_ns``), and the bus had it."""
+    """A raw frame of the chassis: when the arbiter read it (``time_ns``), and when it was on the bus."""
 
     time_ns: int
     identifier: int
@@ -161,13 +161,13 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
     @property
     def waited_ns(self) -> int:
-        """The time between the bus and the arbiter; 0 where that is not known."""
+        """The time from the bus to the arbiter; 0 if unknown."""
         waited_ns = max(0, self.time_ns - self.bus_ns)
         return waited_ns if waited_ns < REACH_NS else 0
 
     @property
     def bus_time_ns(self) -> int:
-        """When the bus had it, as far as that is known."""
+        """The time on the bus, as far as known."""
         return self.time_ns - self.waited_ns
 
     @property
@@ -215,19 +215,19 @@ def signals(frame: DecodedFrame, variant: Variant = Variant.COARSE) -> dict[str,
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """The settings that were in force, and where they are from, in words to be put behind a limit."""
+    """The settings in force, and their origin in words."""
 
     command: CommandSettings = CommandSettings()
-    origin: str = "the start value; no configuration is in the log"
+    origin: str = "the default; no configuration is in the log"
 
 
 def limits_at(at_ns: int, robot: str, configurations: Sequence[tuple[int, str]], faults: Faults) -> Limits:
-    """Return the limits of the configuration that was published last, or else next."""
+    """The limits of the configuration that was published last, or else next."""
     texts = [text for time_ns, text in configurations if time_ns <= at_ns][-1:]
     for text in texts + [text for _, text in configurations][:1]:
         try:
             settings = merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {})
-            return Limits(settings.command, "by its configuration")
+            return Limits(settings.command, "from its configuration")
         except CommandError as error:
             faults.add(f"{robot}: its configuration cannot be read: {error}")
     return Limits()
@@ -237,11 +237,11 @@ class EvidenceWindow:
     """The messages of a robot around a moment. Times are nanoseconds since 1970, as those of the moment.
 
     Attributes:
-        shift_ns: to be added to the robot's times.
+        shift_ns: added to the robot's times.
         is_steady: no clock was set in this time.
-        what: it is, in words.
-        detail: the arbiter's own remark; may be empty.
-        received: number of frames that the arbiter was given in the second before the moment.
+        what: the moment in words.
+        detail: the arbiter's text of the stop; may be empty.
+        received: number of frames that the arbiter read in the second before the moment.
         has_frames: the log has the journal of the moment, and so its frames.
     """
 
@@ -264,14 +264,14 @@ class EvidenceWindow:
         self._seen: set[tuple[str, int, int, bytes]] = set()
 
     def take(self, row: Row) -> None:
-        """A row of one of the classes that are wanted."""
+        """Add a row of a wanted class."""
         kind, decode = row.topic.kind, row.topic.decode
         one = (row.topic.name, row.publish_ns, row.sequence, row.data)
         if kind is None or decode is None or one in self._seen:
             return
         self._seen.add(one)
         time_ns = row.publish_ns + self._shift_ns
-        # What a gateway that hung had not read is late, and has its right time; else it has another clock.
+        # Samples that a hung gateway had queued are late with the right time; others come from another clock.
         late_ns = BEFORE_NS if self._is_steady else STALL_NS
         if kind not in _ASKED_LATER and not -STALL_NS <= row.log_ns - time_ns <= late_ns:
             time_ns = row.log_ns
@@ -284,7 +284,7 @@ class EvidenceWindow:
             self._said.setdefault(kind, []).append(Heard(time_ns, decode(row.data)))
 
     def settle(self) -> None:
-        """All is there: put what came late into its place."""
+        """Sort all messages after the last row."""
         for kind, heard in self._said.items():
             placed = heard if self._is_steady or kind not in _ASKED_LATER else self._by_tick(heard)
             self._said[kind] = sorted(placed, key=lambda one: one.time_ns)[-KEPT:]
@@ -294,7 +294,7 @@ class EvidenceWindow:
         self._read_journal()
 
     def _run(self) -> tuple[int, int]:
-        """The times at which the gateway of the moment began, and the next one did."""
+        """The start of the moment's run, and of the next one."""
         from_ns, to_ns = 0, END_OF_TIME_NS
         for was, then in pairwise(self.all(SafetyState)):
             if not is_same_run(was.said.tick, then.said.tick):
@@ -304,7 +304,7 @@ class EvidenceWindow:
         return from_ns, to_ns
 
     def _by_tick(self, heard: Sequence[Heard[Any]]) -> list[Heard[Any]]:
-        """Each at the time of its tick, if its clock was wrong by then; those of any other time are left out."""
+        """Messages at the times of their ticks where the clock was wrong; others than this time's are left out."""
         states = sorted({one.said.tick: one for one in reversed(self.all(SafetyState))}.values(), key=_tick_of)
         placed = []
         for one in heard:
@@ -322,10 +322,9 @@ class EvidenceWindow:
         return placed
 
     def _read_journal(self) -> None:
-        """Part the frames into those that the arbiter was given before the last tick up to the moment, and later.
+        """Split the frames into those that the arbiter read up to the moment's tick, and those after it.
 
-        A tick that is so near to the moment that it must be meant is one of it. What came before a part of the
-        journal that is missing, or in another run, is not known.
+        Frames before a gap of the journal, or of another run, are dropped.
         """
         upto_ns, told_ns, told = self.at_ns + TICK_NS // 2, 0, 0
         frames: list[DecodedFrame] = []
@@ -350,30 +349,30 @@ class EvidenceWindow:
         return before(time_ns, self.at_ns, self.what)
 
     def all(self, kind: type[Said]) -> Sequence[Heard[Said]]:
-        """The messages of a class, by their time."""
+        """The messages of a class by time."""
         return self._said.get(kind, [])
 
     def during(self, kind: type[Said]) -> Sequence[Heard[Said]]:
-        """The messages of a class, by time; what a gateway says of itself, of the run of the moment alone."""
+        """The messages of a class by time; a gateway's messages about itself only of the moment's run."""
         return self._during.get(kind) or (() if kind in _OF_A_GATEWAY else self.all(kind))
 
     def last(self, kind: type[Said], at_ns: int | None = None) -> Heard[Said] | None:
-        """The last one up to a time, that of the moment if none is given."""
+        """The last one up to a time, by default the moment."""
         return next(self.until(kind, at_ns), None)
 
     def after(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
-        """The messages of a class behind a time, that of the moment if none is given."""
+        """The messages of a class after a time, by default the moment."""
         from_ns = self.at_ns if at_ns is None else at_ns
         return (one for one in self.during(kind) if one.time_ns > from_ns)
 
     def until(self, kind: type[Said], at_ns: int | None = None) -> Iterator[Heard[Said]]:
-        """The messages of a class up to a time, that of the moment if none is given; the last one first."""
+        """The messages of a class up to a time, by default the moment; the last one first."""
         until_ns = self.at_ns if at_ns is None else at_ns
         return (one for one in reversed(self.during(kind)) if one.time_ns <= until_ns)
 
     @property
     def over_ns(self) -> int:
-        """The end of what was at the moment: the next engagement, the next stop, or the end of the run."""
+        """The end of the moment's stop: the next engagement, the next stop, or the end of the run."""
         has_begun = has_rested = False
         for one in self.after(SafetyState, self.at_ns - 1):
             state = one.said.state
@@ -385,15 +384,15 @@ class EvidenceWindow:
         return next((one.time_ns for one in engaged), self._run_ns[1])
 
     def frames(self, identifier: int) -> Sequence[DecodedFrame]:
-        """Frames that the arbiter was given up to the moment, in their order."""
+        """Frames that the arbiter read up to the moment, in order."""
         return self._frames.get(identifier, ())
 
     def waiting(self, identifier: int) -> Sequence[DecodedFrame]:
-        """Frames that the bus had by the moment, and the arbiter was given behind it."""
+        """Frames that were on the bus by the moment, and that the arbiter read after it."""
         return [one for one in self._behind.get(identifier, ()) if one.bus_time_ns <= self.at_ns]
 
     def commands_between(self, from_ns: int, to_ns: int) -> list[DecodedFrame]:
-        """Received command frames, which this gateway did not send, by their time on the bus."""
+        """Command frames that this gateway received, and so did not send, by their time on the bus."""
         heard = [
             one
             for identifier, layout in BY_IDENTIFIER.items()
@@ -405,7 +404,7 @@ class EvidenceWindow:
         return sorted(heard, key=lambda one: one.bus_time_ns)
 
     def speeds_after(self, from_ns: int) -> list[tuple[int, float]]:
-        """Times and speeds by the drive feedback: decoded by whichever gateway, or raw where none had begun to."""
+        """Times and speeds of the drive feedback, from raw frames where no gateway decoded them yet."""
         found = {one.time_ns: one.said.speed_mps for one in self.all(Drive) if one.time_ns > from_ns}
         first_ns = min(found, default=END_OF_TIME_NS)
         for frame in (one for part in (self._frames, self._behind) for one in part.get(DRIVE, ())):
@@ -420,13 +419,13 @@ class EvidenceWindow:
 
     @property
     def variant(self) -> Variant:
-        """The chassis's firmware variant at the moment; coarse where the log does not have it."""
+        """The firmware variant at the moment; coarse if the log does not have it."""
         state = self.last(RobotState)
         return state.said.variant if state and state.said.variant is not Variant.UNKNOWN else Variant.COARSE
 
     @property
     def lacks_decisions(self) -> int:
-        """Decisions of this time that are not in the log, by their sequence."""
+        """Number of decisions missing in this time, by their sequence."""
         numbers = sorted({one.said.sequence for one in self.all(Decision)})
         return numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
 
@@ -435,11 +434,11 @@ _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
 
 _Input = tuple[int, DecodedFrame | None]
-"""When the arbiter was given a frame; or a tick."""
+"""A frame and the time at which the arbiter read it; None stands for a tick."""
 
 
 def _parts(journals: Sequence[Journal], shift_ns: int) -> Iterator[tuple[bool, list[_Input]]]:
-    """The frames and ticks of each message of a journal that has ticks, and whether it follows the one before."""
+    """The frames and ticks of each journal message with ticks, and whether it directly follows the one before."""
     expected = (-1, -1)
     for journal in journals:
         found: list[_Input] = []
@@ -464,7 +463,7 @@ def _parts(journals: Sequence[Journal], shift_ns: int) -> Iterator[tuple[bool, l
 
 
 def _offset_ns(one: tuple[Any, ...]) -> int:
-    """The wall clock's, from the monotonic one, by an input that is a tick; else 0."""
+    """The offset from monotonic to wall clock, by a tick; else 0."""
     match one:
         case (Kind.TICK, int(now_ns), int(wall_ns), *_):
             return wall_ns - now_ns
@@ -482,13 +481,13 @@ _ASKED_LATER: Final[frozenset[type[Message]]] = frozenset({Decision, SafetyEvent
 _OF_A_GATEWAY: Final[frozenset[type[Message]]] = frozenset(
     {Decision, SafetyEvent, SafetyState, GatewayHealth, RobotState}
 )
-"""Classes in which a gateway describes itself and the chassis; the others are the chassis's own feedback."""
+"""Classes in which a gateway describes itself; the others are feedback of the chassis."""
 
 _WANTED: Final = _OF_A_GATEWAY | {Journal, Drive, WheelSpeed, Steering, Gear, Body, Parking}
 
 
 def read_window(window: EvidenceWindow, logs: Sequence[LogFile], faults: Faults) -> EvidenceWindow:
-    """Fill a window out of a robot's logs; what cannot be read is a fault."""
+    """Fill a window from a robot's logs."""
     from_ns, to_ns = max(0, window.at_ns - BEFORE_NS), window.at_ns + AFTER_NS
 
     def read(selection: Selection, until_ns: int) -> None:

@@ -1,7 +1,7 @@
-"""A report of a drive, for people: one page that needs no network.
+"""A report of a drive: one page that needs no network.
 
-- ``gather``    reads logs, once
-- ``account``   all of one robot, from its messages; its gateways, and their configurations
-- ``findings``  what the report says, as data and in words, with charts reduced while the samples stream in
+- ``gather``    reads the logs
+- ``account``   one robot, from its messages
+- ``findings``  the report as data and in words, with charts reduced while samples stream in
 - ``page``      the HTML page; ``page.js`` draws and plays it
 """

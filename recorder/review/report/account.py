@@ -1,4 +1,4 @@
-"""All of one robot for a report, from its messages one by one, in memory that does not grow with them."""
+"""One robot's part of a report, from its messages one by one; memory does not grow with their number."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, S
 from schemas.messages import GatewayHealth, GatewayInfo, Message, Mode, Odometry, RobotState, Variant
 
 MOST: Final = 200
-"""Gateways, and configurations, that are kept."""
+"""Limit of gateways and configurations."""
 
 UNKNOWN: Final = Variant.UNKNOWN.value
 _PACKAGE: Final = "versions."
 
 
 class Versions:
-    """Gathers gateways' own descriptions, and a recorder's notes of them, in any order."""
+    """Gathers what gateways and recorders say of versions and configurations, in any order."""
 
     def __init__(self) -> None:
         self._told: dict[tuple[int, str], InForce] = {}
         self.left_out = 0
 
     def hear(self, info: GatewayInfo) -> None:
-        """A gateway's own answer."""
+        """Add a gateway's own description."""
         self._add(InForce(info.started_ns, info.variant.value, info.configuration_sha256, dict(info.versions)))
 
     def read(self, facts: Mapping[str, str]) -> None:
-        """Add what a recorder's metadata say of the robot."""
+        """Add a recorder's metadata of the robot."""
         packages = {name.removeprefix(_PACKAGE): one for name, one in facts.items() if name.startswith(_PACKAGE)}
         with suppress(ValueError):
             started_ns = int(facts.get("started_ns", ""))
@@ -63,11 +63,7 @@ class Versions:
             self._told[told.since_ns, told.configuration_sha256] = told
 
     def in_force(self, offset_ns: int = 0, from_ns: int = 0, to_ns: int = 2**64) -> list[InForce]:
-        """Return the gateways, by the time since when they were in force.
-
-        Those that another one followed before ``from_ns`` are left out, and those that came at ``to_ns`` or
-        later.
-        """
+        """The gateways that were in force in this time, by their start."""
         told = sorted(self._told.values(), key=lambda one: one.since_ns)
         dated = [msgspec.structs.replace(one, since_ns=max(0, one.since_ns + offset_ns)) for one in told]
         ends_ns = [one.since_ns for one in dated[1:]] + [2**64]
@@ -82,37 +78,36 @@ REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
 
 DRAWN_MAX: Final = 30
-"""Drives that are drawn, the newest ones; the others have a command."""
+"""Limit of drives that are drawn, the newest ones; the others get a command."""
 
 WHOLE_SHARES: Final = 4
-"""Drives that are drawn with all points that a chart can show; more of them share as many."""
+"""So many drives are drawn in full resolution; more share the same number of points."""
 
 REMEMBERED: Final = 4096
-"""Messages of a subject that are known again when they come a second time."""
+"""Messages of a subject that are recognised when they come a second time."""
 
 CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
-"""A time that is further from the receipt is of no use."""
+"""A time further from its receipt is not used."""
 
 CLOCKS_APART_NS: Final = 2_000_000_000
-"""The robot's clock and the recorder's may differ by so much, and the log times are the recorder's."""
+"""The largest difference of the robot's clock and the recorder's that is not corrected."""
 
 _ANGLE_MAX_DEG: Final = 80.0
-"""The chassis steers to 24 deg; what is beyond sense must not end the path."""
+"""The chassis steers to 24 deg; a value beyond sense must not end the path."""
 
 TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
     {RobotState, Odometry, SafetyState, SafetyEvent, Decision, GatewayHealth}
 )
-"""Classes of messages that an account is made of."""
+"""Classes of messages that an account takes."""
 
 _Sample = tuple[int, RobotState | SafetyState, Pose | None, bool]
-"""Time, message, where the robot is as far as that is known, and whether the path begins with it."""
+"""Time, message, the robot's pose if known, and whether a piece of the path begins with it."""
 
 
 class Account:
-    """Gathers what is said of a robot.
+    """Gathers one robot's part.
 
-    Its logs, or the period that is asked about, begin at ``begins_ns``: what a recorder asked for of before is
-    left out.
+    Messages from before ``begins_ns``, which a recorder queried afterwards, are left out.
     """
 
     def __init__(self, name: str, key: str, versions: Versions | None = None, begins_ns: int = 0) -> None:
@@ -125,7 +120,7 @@ class Account:
         self._clock = RobotClock()
         self._charts: deque[tuple[RecordedDrive | None, Charts]] = deque([(None, Charts())], DRAWN_MAX)
         self._lead: deque[_Sample] = deque()
-        """The newest samples: a drive is drawn with those before it."""
+        """The newest samples, which are drawn before the drive that they lead to."""
         self._seen: dict[type[Message], Repeats] = {}
         self._held_by = ""
         self._state_ns = 0
@@ -135,7 +130,7 @@ class Account:
         self._refusals: dict[tuple[str, str, str], list[int]] = {}
 
     def take(self, message: Message, publish_ns: int, log_ns: int) -> bool:
-        """Take the next message, of a kind in TAKEN. Returns False if it is there for the second time."""
+        """Take the next message of a kind in TAKEN. Returns False if it is a repeated one."""
         seen = self._seen.get(type(message))
         if seen is None:
             seen = self._seen[type(message)] = Repeats(REMEMBERED)
@@ -172,19 +167,19 @@ class Account:
         return time_ns if abs(time_ns - log_ns) < CLOCK_TRUST_NS else log_ns
 
     def take_entry(self, entry: Entry) -> None:
-        """Take the next entry of the timeline that is about this robot."""
+        """Take the robot's next entry of the timeline."""
         if entry.last_ns >= self._begins_ns:
             self.drives.take(entry)
 
     def end(self, found: LogEnding) -> None:
-        """The logs end in the middle of a drive, or after the gateway fell silent. The timeline says so, too."""
+        """The logs end while the robot is commanded, or after the gateway went silent."""
         if found.is_silent:
             self.drives.fall_silent(Outage(found.entry.time_ns, None, found.is_commanding))
         else:
             self._ends_commanding = True
 
     def miss(self, from_ns: int | None, to_ns: int | None) -> None:
-        """Note what is missing between the time that was asked about and what is there of it."""
+        """Note what is missing at the start and the end of the requested time."""
         motion = self.drives.motion
         if from_ns is not None and motion.last_ns is not None and self._start_ns - from_ns > CLOCKS_APART_NS:
             motion.miss(self._start_ns - from_ns)
@@ -194,7 +189,7 @@ class Account:
     def sum_up(
         self, completeness: dict[str, KeyReport], from_ns: int = 0, to_ns: int = 2**64
     ) -> RobotReport | None:
-        """Sum up what has been found; None if nothing came."""
+        """The robot's report; None if there was no message."""
         if not self._end_ns:
             return None
         found, motion = self.drives, self.drives.motion
@@ -237,7 +232,7 @@ class Account:
         return RobotReport(summary, moments, found.more_entries, found.drives(), found.more, self._drawn(moments))
 
     def _near(self, entry: Entry) -> Entry:
-        """The entry; a time far from all that the robot said is moved to the nearest one."""
+        """The entry, moved into the robot's time if it is far outside."""
         if self._start_ns - CLOCK_TRUST_NS < entry.time_ns < self._end_ns + CLOCK_TRUST_NS:
             return entry
         time_ns = min(max(entry.time_ns, self._start_ns), self._end_ns)
@@ -246,7 +241,7 @@ class Account:
     # What is drawn.
 
     def _draw(self, sample: _Sample) -> None:
-        """Draw a sample, unless the robot rests for long. A drive behind a long rest has charts of its own."""
+        """Draw a sample, except in a long rest. Each drive has charts of its own."""
         time_ns = sample[0]
         self._lead.append(sample)
         while time_ns - self._lead[0][0] > MARGIN_NS:
@@ -270,7 +265,7 @@ class Account:
             each.bound(min(1.0, WHOLE_SHARES / len(self._charts)))
 
     def _drawn(self, moments: Sequence[Entry]) -> list[Drawn]:
-        """The charts, without what is beyond the margins of one drive among several, or between long rests."""
+        """The charts, each cut to the margins of its drive."""
         outages = [(one.heard_ns, one.began_ns) for one in self.drives.outages if one.began_ns is not None]
         found = []
         for drive, charts in self._charts:

@@ -1,6 +1,6 @@
-"""The findings of a report, as data and in words; drawings are reduced while samples stream in.
+"""The findings of a report as data and in words; charts are reduced while samples stream in.
 
-Times are nanoseconds since 1970, by the robot's clock. Names and texts come from the log, and may hold anything.
+Times are nanoseconds since 1970, by the robot's clock. Names and texts from a log may hold anything.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ LINES: Final = (
     "output_angle_deg",
     "angle_deg",
 )
-"""Values that are drawn over time, in the order of ``page.js``: measured, or of ``safety/state``."""
+"""Values drawn over time, in the order of ``page.js``."""
 
 BANDS: Final = ("mode", "arbiter", "lease")
 """The chassis's mode, the arbiter's state, and the holder of the lease."""
 
 TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
-"""Commanded values. The state repeats them until others come; they hold while the arbiter is engaged."""
+"""Requested values. States repeat them; they hold only while the arbiter is engaged."""
 
 _OUTPUTS: Final = ("target_speed_mps", "output_speed_mps", "target_angle_deg", "output_angle_deg")
 _FIRST_STEP_M: Final = 0.01
@@ -59,7 +59,7 @@ Pose = tuple[float, float, float]
 
 
 class Span(msgspec.Struct, frozen=True):
-    """A value, and when it held; times in nanoseconds since 1970."""
+    """A value and its time."""
 
     start_ns: int
     end_ns: int
@@ -67,7 +67,7 @@ class Span(msgspec.Struct, frozen=True):
 
 
 class Place(msgspec.Struct, frozen=True):
-    """A position of the robot: forward (x) and left (y) as it stood at first; with ``begins`` a piece begins."""
+    """A position: forward (x) and left (y) of the first pose; with ``begins`` a piece of the path begins."""
 
     time_ns: int
     x_m: float
@@ -85,13 +85,13 @@ class Charts:
         self.path = DrivenPath()
 
     def bound(self, share: float) -> None:
-        """Keep this part of the points that a chart usually has."""
+        """Limit the charts to this share of the usual points."""
         for line in self.lines.values():
             line.limit = round(BUCKETS_MAX * share)
         self.path.limit = round(PLACES_MAX * share)
 
     def add_state(self, time_ns: int, state: RobotState, pose: Pose | None, *, begins: bool) -> None:
-        """Add what was measured, and where the robot is; None if that is not known."""
+        """Add measured values and, if known, the pose."""
         if pose is not None:
             self.path.add(time_ns, pose, begins=begins)
         self._draw("speed_mps", time_ns, state.speed_mps)
@@ -99,7 +99,7 @@ class Charts:
         self.bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
 
     def add_arbiter(self, time_ns: int, state: SafetyState) -> None:
-        """Add what was commanded."""
+        """Add commanded values."""
         self.bands["arbiter"].add(time_ns, state.state.value)
         self.bands["lease"].add(time_ns, state.lease_holder)
         self._draw("speed_limit_mps", time_ns, state.speed_limit_mps)
@@ -119,7 +119,7 @@ class Charts:
 class Series:
     """One line of a chart. Samples may come out of order.
 
-    Of each bucket of time the first, lowest, highest and last sample are kept: no spike is lost.
+    Each bucket of time keeps its first, lowest, highest and last sample, so that no spike is lost.
     """
 
     def __init__(self, limit: int = BUCKETS_MAX) -> None:
@@ -129,7 +129,7 @@ class Series:
         self._last_ns: int | None = None
 
     def add(self, time_ns: int, value: float) -> None:
-        """One more sample."""
+        """Add a sample."""
         if self._last_ns is not None and time_ns - self._last_ns > GAP_NS:
             self.cut()
         self._last_ns = time_ns
@@ -138,13 +138,13 @@ class Series:
             self._reduce()
 
     def cut(self) -> None:
-        """The value is not known from here on: the next sample begins a new piece."""
+        """Break the line: the value is not known until the next sample."""
         if self._last_ns is not None and len(self._breaks) < BREAKS_MAX:
             self._breaks.append(self._last_ns)
         self._last_ns = None
 
     def points(self, from_ns: int = 0, to_ns: int = 2**64) -> Iterator[Point | None]:
-        """Yield the line in the order of time, None where it is broken."""
+        """Yield the line by time, None at each break."""
         self._reduce()
         breaks, is_begun = sorted(self._breaks, reverse=True), False
         for point in self._points:
@@ -171,7 +171,7 @@ class Series:
 
 
 class Spans:
-    """One band of a chart: values, and from when to when each held. What comes late is passed over."""
+    """One band of a chart: values and their times. Late samples are ignored."""
 
     def __init__(self) -> None:
         self._spans: list[Span] = []
@@ -179,7 +179,7 @@ class Spans:
         self._value: str | None = None
 
     def add(self, time_ns: int, value: str) -> None:
-        """It was so at this time."""
+        """Add a value."""
         if self._value is not None and time_ns < self._last_ns:
             return
         is_silent = self._value is not None and time_ns - self._last_ns > GAP_NS
@@ -189,7 +189,7 @@ class Spans:
         self._last_ns = time_ns
 
     def spans(self) -> list[Span]:
-        """All of them so far, at most SPANS_MAX; those whose value is empty are left out."""
+        """The spans so far, at most SPANS_MAX, without empty values."""
         now = [] if self._value is None else [Span(self._start_ns, self._last_ns, self._value)]
         return [span for span in [*self._spans, *now] if span.value]
 
@@ -199,7 +199,7 @@ class Spans:
 
 
 class DrivenPath:
-    """A path from zero, as many places of it as are worth drawing. Where samples are missing it breaks off."""
+    """A path from zero, reduced to what is worth drawing, with breaks where samples are missing."""
 
     def __init__(self) -> None:
         self.limit = PLACES_MAX
@@ -209,7 +209,7 @@ class DrivenPath:
         self._last: Place | None = None
 
     def add(self, time_ns: int, pose: Pose, *, begins: bool) -> None:
-        """Add where the robot is now."""
+        """Add a pose."""
         if self._first is None:
             self._first = pose
         (x_m, y_m, heading_rad), (first_x_m, first_y_m, first_rad) = pose, self._first
@@ -239,20 +239,20 @@ class DrivenPath:
             self._step_m *= 2
             self._turn_rad = min(2 * self._turn_rad, pi / 8)
             begun = [number for number, place in enumerate(self._places) if place.begins]
-            # Where each piece begins stays, unless the log is nothing but gaps.
+            # The starts of pieces stay, unless the log is full of gaps.
             kept = set(range(0, len(self._places), 2)) | set(begun[: self.limit // 4]) | {len(self._places) - 1}
             self._places = [self._places[number] for number in sorted(kept)]
 
 
 class Why(msgspec.Struct, frozen=True):
-    """The reason of a stop, as ``why`` words it: of each link time since the stop, time of day, step, sentence."""
+    """The answer of ``why`` to a stop; a link is time since the stop, time of day, step and sentence."""
 
     headline: str
     links: list[tuple[str, str, str, str]]
 
 
 class InForce(msgspec.Struct, frozen=True):
-    """A gateway, as it was in force until the next one was."""
+    """A gateway, in force until the next one."""
 
     since_ns: int
     variant: str
@@ -261,7 +261,7 @@ class InForce(msgspec.Struct, frozen=True):
 
 
 class Driver(msgspec.Struct, frozen=True):
-    """An operator who drove the robot, for how long, and how far it went."""
+    """An operator who drove the robot, for how long and how far."""
 
     name: str
     seconds: float
@@ -269,7 +269,7 @@ class Driver(msgspec.Struct, frozen=True):
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """Requests that were refused: those of one verb, operator and reason."""
+    """The refused requests of one verb, operator and reason."""
 
     request: str
     operator: str
@@ -283,15 +283,15 @@ class RobotSummary(msgspec.Struct, frozen=True):
     """A robot in figures.
 
     Attributes:
-        key: the beginning of its keys.
-        distance_m: the length of its path; at least that where ``gap_s`` is not 0.
-        moving_s: the time that it moved, of ``known_s`` of which its speed is known.
-        top_mps: its highest speed, negative in reverse.
-        ends: number of times that a drive was ended by request, by reason.
-        ends_commanding: the recording ends while the chassis was under command.
-        events: their number, by kind.
-        gaps: number of gaps in its known motion; ``gap_s`` in all.
-        lost_samples, lost_frames: of the recorder's account; None if it gives none.
+        key: the start of its keys.
+        distance_m: the length of its path; a lower bound if ``gap_s`` is not 0.
+        moving_s: of ``known_s`` with known speed.
+        top_mps: negative in reverse.
+        ends: number of requested ends by reason.
+        ends_commanding: the recording ends while the robot is commanded.
+        events: their number by kind.
+        gaps: number of gaps in its motion; ``gap_s`` in all.
+        lost_samples, lost_frames: by the recorder's account; None without one.
     """
 
     name: str
@@ -325,7 +325,7 @@ class RobotSummary(msgspec.Struct, frozen=True):
 
 
 class Drawn(msgspec.Struct, frozen=True):
-    """A drive over time, or a robot that has none. Lines have None where they are broken; bands have spans."""
+    """The charts of a drive, or of a robot without one; lines have None at each break."""
 
     start_ns: int
     end_ns: int
@@ -338,7 +338,7 @@ class Drawn(msgspec.Struct, frozen=True):
 
 
 class RobotReport(msgspec.Struct, frozen=True):
-    """A robot; ``drawn`` are the newest of its drives, or itself as it stood."""
+    """A robot; ``drawn`` are its newest drives, or the standing robot."""
 
     summary: RobotSummary
     moments: list[Entry]
@@ -349,7 +349,7 @@ class RobotReport(msgspec.Struct, frozen=True):
 
 
 class ReportedFile(msgspec.Struct, frozen=True):
-    """A file that the report is about; ``is_accounted``: it ends with the recorder's account of what it lost."""
+    """A source file; ``is_accounted``: it has the recorder's account of losses."""
 
     name: str
     bytes: int
@@ -360,7 +360,7 @@ class ReportedFile(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """All that a report says, of the log times that were asked about; ``to_ns`` is None if all were."""
+    """A report on the log times from ``from_ns`` to ``to_ns``, None without an end."""
 
     files: list[ReportedFile]
     from_ns: int
@@ -373,36 +373,36 @@ class Report(msgspec.Struct, frozen=True):
 
     @property
     def drawn(self) -> list[tuple[RobotSummary, Drawn]]:
-        """All that is drawn, in the order of the page."""
+        """All charts, in the order of the page."""
         return [(robot.summary, one) for robot in self.robots for one in robot.drawn]
 
 
 STANDING_M: Final = 0.05
-"""A path that is shorter is the noise of a standing robot."""
+"""A shorter path is the noise of a standing robot."""
 
 SHOWN: Final = 8
-"""Kinds that are shown in one line; tables show all."""
+"""Limit of items in a line; tables show all."""
 
 ABSENT: Final = "not in the log"
 
 Line = tuple[str, str]
-"""A subject, and what is to be said of it."""
+"""A name and its text."""
 
 _WORDS: Final = {reason.value: text.means for reason, text in TEXTS.items()} | {DIED: "the gateway died"}
 
 _LOSSES: Final = {
     "lost_bus": "frames between chassis and gateway",
-    "lost_source": "frames that the gateway dropped",
+    "lost_source": "frames dropped by the gateway",
     "lost_link": "samples on the way to the recorder",
-    "lost_queue": "samples that the recorder dropped unread",
+    "lost_queue": "samples dropped by the recorder",
     "lost_size": "samples too large to be recorded",
     "lost_full": "messages while the disk was full",
-    "lost_disk": "messages that the disk did not store",
+    "lost_disk": "messages not stored by the disk",
 }
 
 
 def verdict(robot: RobotReport) -> str:
-    """The robot in a sentence: distance, drives, stops by cause, normal ends, losses."""
+    """The robot in a sentence: drives, distance, stops by cause, normal ends, losses."""
     summary = robot.summary
     drives = len(robot.drives) + robot.more_drives
     said = [f"{counted(drives, 'drive') if drives else 'no drive'}, {distance(summary)}", stops_by(summary.stops)]
@@ -417,7 +417,7 @@ def verdict(robot: RobotReport) -> str:
 
 
 def distance(robot: RobotSummary) -> str:
-    """The distance; where states are missing it is at least that."""
+    """The distance in words, as a lower bound if states are missing."""
     if not robot.known_s:
         return f"distance {ABSENT}"
     said = "0 m" if robot.distance_m < STANDING_M else metres(robot.distance_m)
@@ -425,14 +425,14 @@ def distance(robot: RobotSummary) -> str:
 
 
 def drive_distance(robot: RobotSummary, drive: RecordedDrive) -> str:
-    """The distance of one drive."""
+    """The distance of a drive in words."""
     if not robot.known_s:
         return "-"
     return f"{'at least ' if drive.missing_s else ''}{metres(drive.distance_m)}"
 
 
 def stops_by(stops: Mapping[str, int]) -> str:
-    """Stops: how many are faults and how many operators', with the causes."""
+    """Stops in words: the number of faults and of operators' stops, with the causes."""
     count, by_operators = sum(stops.values()), operators_stops(stops)
     if not count:
         return "no stops"
@@ -447,7 +447,7 @@ def stops_by(stops: Mapping[str, int]) -> str:
 
 
 def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
-    """The robot, line by line."""
+    """The details of a robot, line by line."""
     summary = robot.summary
     return [
         ("When", f"{_from_to(summary.start_ns, summary.end_ns)}"),
@@ -494,7 +494,7 @@ def _refused(robot: RobotSummary) -> str:
     if not robot.refused:
         return f"none of {counted(robot.accepted, 'request')}"
     told = joined(
-        f"{one.count} x {one.request} of {one.operator or 'no operator'}: {reason_words(one.reason)}"
+        f"{one.count} x {one.request} from {one.operator or 'no operator'}: {reason_words(one.reason)}"
         for one in robot.refusals
     )
     return f"{robot.refused} of {robot.accepted + robot.refused} requests: {told}"
@@ -515,7 +515,7 @@ def _missing(robot: RobotSummary, report: Report) -> list[str]:
 
 
 def _versions(robot: RobotSummary) -> str:
-    """Versions of the first gateway, and how many others there were."""
+    """The versions of the first gateway, and the number of later ones."""
     said = []
     for first in robot.in_force[:1]:
         packages = (f"{package} {value}" for package, value in sorted(first.versions.items()))
@@ -527,7 +527,7 @@ def _versions(robot: RobotSummary) -> str:
 
 
 def moment_words(moment: Entry) -> str:
-    """The text of an event, and how often it occurred; a gap says itself how much is missing."""
+    """The text of an event, with its count; the text of a gap has its own."""
     if moment.count <= 1 or moment.kind is EntryKind.GAP:
         return moment.text
     lasted_s = (moment.last_ns - moment.time_ns) / 1e9
@@ -535,12 +535,12 @@ def moment_words(moment: Entry) -> str:
 
 
 def who(moment: Entry) -> str:
-    """The operator who did it, or in parentheses the holder of the lease."""
+    """The operator, or in parentheses the holder of the lease."""
     return moment.operator or (f"({moment.holder})" if moment.holder else "")
 
 
 def reason_words(reason: str) -> str:
-    """A reason, as a person would say it."""
+    """A reason in words."""
     return _WORDS.get(reason, reason)
 
 
@@ -550,7 +550,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time span for people."""
+    """A time span in words."""
     if seconds < 120:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -559,12 +559,12 @@ def duration(seconds: float) -> str:
 
 
 def metres(length_m: float) -> str:
-    """A length for people."""
+    """A distance in words."""
     return f"{length_m / 1000:.2f} km" if length_m >= 10_000 else f"{length_m:.1f} m"
 
 
 def size(count: int) -> str:
-    """A file's length for people."""
+    """A file size in words."""
     for factor, unit in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
         if count >= factor:
             return f"{count / factor:.1f} {unit}"
@@ -572,7 +572,7 @@ def size(count: int) -> str:
 
 
 def is_lossy(report: KeyReport) -> bool:
-    """Report whether anything of a topic was lost, before or behind the recorder."""
+    """True if anything of a topic was lost, on either side of the recorder."""
     return bool(report.lost or report.lost_bus or report.lost_source)
 
 
@@ -582,7 +582,7 @@ def iso(time_ns: int) -> str:
 
 
 def joined(parts: Iterable[str], between: str = "; ") -> str:
-    """The first ones, and how many more."""
+    """The first parts, and the number of the others."""
     found = list(parts)
     more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
     return between.join([*found[:SHOWN], *more])

@@ -1,4 +1,4 @@
-"""Reads logs, and finds what a report says of them. One pass over the messages."""
+"""Reads logs for a report, in one pass over the messages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ ROBOTS_MAX: Final = 30
 OTHERS_MAX: Final = 5000
 
 REMEMBERED: Final = 256
-"""Messages of recorders that are known again when they come a second time."""
+"""Messages of recorders that are recognised when they come a second time."""
 
 _OF_ROBOTS: Final = TAKEN | {GatewayInfo}
 _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})
@@ -47,10 +47,7 @@ def read_report(
     *,
     version: str = "",
 ) -> Report:
-    """Read what logs say of their robots, in memory that does not grow with them.
-
-    Of the time before the selection the states are read too.
-    """
+    """Read a report from logs, in memory that does not grow with them."""
     infos = [_info(log) for log in logs]
     fleet = _Fleet(logs, selection, infos, faults)
     fleet.read(progress)
@@ -67,14 +64,14 @@ def read_report(
 
 
 def _info(log: LogFile) -> LogInfo | None:
-    """The contents of a file; faults are reported by the reader of the rows."""
+    """The contents of a file; the reader of the rows reports its faults."""
     with suppress(CommandError):
         return read_info(log.path)
     return None
 
 
 def _facts_of(key: str, log: LogFile, info: LogInfo | None) -> dict[str, str]:
-    """The recorder's last note of a robot; it calls the second robot of a name by its root, too."""
+    """The recorder's last metadata of a robot; a second robot of a name is named with its root."""
     ours = {} if info is None else info.metadata.get(METADATA_NAME, {})
     root, _, name = key.rpartition("/")
     if log.robots and (root, name) not in log.robots:
@@ -87,7 +84,7 @@ class _Fleet:
     """The robots of a report.
 
     Attributes:
-        others: keys of robots for which there was no room.
+        others: keys of robots beyond ``ROBOTS_MAX``.
     """
 
     def __init__(
@@ -99,10 +96,10 @@ class _Fleet:
         self._infos = infos
         self._faults = faults
         self._accounts: dict[str, Account] = {}
-        self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts remember the robots' messages.
+        self._timeline = Timeline(faults, kept=REMEMBERED)  # The accounts recognise the robots' messages.
 
     def read(self, progress: Progress) -> None:
-        """Read what is asked about. The states before tell whether the first one is of another gateway."""
+        """Read the requested time. The states before show whether the gateway restarted at its start."""
         asked = self._asked
         looked_at = Selection(
             lambda topic: _is_wanted(topic) and asked.wants(topic),
@@ -131,7 +128,7 @@ class _Fleet:
         self._note(self._timeline.tell())
 
     def end(self) -> Iterator[RobotReport]:
-        """Yield all robots of which something is known. After the last row."""
+        """Yield the reports of all robots, after the last row."""
         asked = self._asked
         for ending in self._timeline.endings(self._logs, asked.to_ns):
             if is_within(ending.entry, asked):
@@ -162,7 +159,7 @@ class _Fleet:
         return account
 
     def _known(self, topic: Topic, event: RecorderEvent) -> RecorderEvent:
-        """The same, with the robot called as it is here: a recorder may know no other of this name."""
+        """The event with the robot's name as used here: a recorder may know only one robot of this name."""
         account = self._accounts.get(f"{topic.name.partition('/@')[0]}/{event.robot}")
         return event if account is None else msgspec.structs.replace(event, robot=account.name)
 
@@ -173,15 +170,15 @@ class _Fleet:
                     account.take_entry(entry)
 
     def _named(self, robot: str) -> list[Account]:
-        """The accounts of the robot of this name; all where it has none."""
+        """The accounts of the robot of this name; all for an empty name."""
         accounts = list(self._accounts.values())
         known = [one for one in accounts if robot in {"", one.name, one.key}]
-        # A recorder calls by its root only the second robot of a name.
+        # A recorder adds the root only to the second robot of a name.
         return known or [one for one in accounts if one.key.endswith(f"/{robot}")]
 
 
 def _completeness(key: str, infos: Sequence[LogInfo | None]) -> dict[str, KeyReport]:
-    """The account of a robot's topics, of all files."""
+    """The recorder's account of a robot's topics over all files."""
     reports: dict[str, list[KeyReport]] = {}
     for info in infos:
         for topic, report in ({} if info is None else info.completeness).items():

@@ -1,8 +1,7 @@
-"""The report as one HTML file, which needs no network and runs no script but its own.
+"""The report as one HTML file, which needs no network and runs only its own scripts.
 
-``page.js`` draws the charts, lines by uPlot and path, bands and marks as SVG. All that comes from a log is
-escaped; should that fail, the policy lets no other script run than those whose hashes it names, and nothing be
-fetched.
+``page.js`` draws lines with uPlot, and path, bands and marks as SVG. Everything from a log is escaped; if that
+fails, the policy still allows only the scripts whose hashes it names, and no network access.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ from schemas.reasons import Reason
 
 
 def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
-    """Return the charts of a drive."""
+    """The charts of a drive as ``page.js`` reads them."""
     stops = [moment.time_ns for moment in drawn.moments if moment.is_stop]
     return {
         "robot": robot.name,
@@ -86,7 +85,7 @@ def clock(time_ns: int) -> str:
 
 
 def hover_text(moment: Entry) -> str:
-    """An event in words, in lines."""
+    """An event in words, line by line."""
     parts = [f"{moment.kind.value} {clock(moment.time_ns)}", plain(moment_words(moment))]
     if moment.reason is not Reason.NONE:
         parts.append(f"reason: {reason_words(moment.reason.value)}")
@@ -102,12 +101,12 @@ def _ms(time_ns: int) -> int:
 
 
 def _steps(times_ms: Sequence[int]) -> list[int]:
-    """The first time, and from each one to the next."""
+    """The first time, then the difference to each next one."""
     return [*times_ms[:1], *(after - before for before, after in pairwise(times_ms))]
 
 
 def _line(points: Sequence[Point | None]) -> tuple[list[int], list[float | None]]:
-    """Times and values; where the line breaks off there is no value right behind the last one."""
+    """Times and values; a break is a missing value right after the last one."""
     times_ms: list[int] = []
     values: list[float | None] = []
     for point in points:
@@ -128,7 +127,7 @@ def _moment(moment: Entry, places: Sequence[Place]) -> dict[str, Any]:
 
 
 def _path(places: Sequence[Place]) -> dict[str, Sequence[float]]:
-    """The places as they were passed; before those of the numbers ``begins`` the path breaks off."""
+    """The places in order; ``begins`` are the numbers of those after a break."""
     return {
         "time_ms": _steps([_ms(place.time_ns) for place in places]),
         "x_m": [round(place.x_m, 3) for place in places],
@@ -139,7 +138,7 @@ def _path(places: Sequence[Place]) -> dict[str, Sequence[float]]:
 
 
 MOMENTS_SHOWN: Final = 300
-"""Rows of the table of events; the chart has all."""
+"""Limit of rows in the table of events; the chart has all."""
 
 DRIVES_SHOWN: Final = 1000
 _OPENED: Final = 15
@@ -151,24 +150,21 @@ _LOSS_HEADS: Final = ("sent", "received", "written", "bus", "source", "link", "q
 _MS: Final = 1_000_000
 
 Whys = Mapping[tuple[str, int], Why]
-"""The reasons of stops, by the key of the robot and the time of the stop."""
+"""The reasons of stops, by the robot's key and the time of the stop."""
 
 
 class Html(msgspec.Struct, frozen=True):
-    """Markup of this module, of which all that comes from a log is escaped."""
+    """Markup of this module, with everything from a log escaped."""
 
     markup: str
 
 
 Row = tuple[str | int | Html | None, ...]
-"""The cells of a table's row: texts, numbers, and None for a number that is not known."""
+"""The cells of a row: texts, numbers, and None for an unknown number."""
 
 
 def page(report: Report, whys: Whys = MappingProxyType({}), logs: str = "LOG") -> str:
-    """The page, which is ``page.html`` filled in.
-
-    ``logs`` are as a shell has them, for commands that the page names.
-    """
+    """Fill in ``page.html``; ``logs`` are the shell words for the commands on the page."""
     here, vendor = files(__package__), files(schemas) / "page" / "vendor"
     library, script = _text(vendor / "uPlot.iife.min.js"), _text(here / "page.js")
     _, name, licence = _text(vendor / "LICENSES.txt").partition("uPlot")
@@ -202,13 +198,13 @@ def _head(report: Report) -> Iterator[str]:
         f"{counted(len(report.files), 'file')}, {text(size(sum(file.bytes for file in report.files)))}</p>"
     )
     if report.fault_count:
-        yield f'<p class="note">Not all could be read: {counted(report.fault_count, "fault")}, see below.</p>'
+        yield f'<p class="note">Some data is unreadable: {counted(report.fault_count, "fault")}, see below.</p>'
     if report.more_robots:
         yield f'<p class="note">{counted(report.more_robots, "more robot")} in these logs are not shown.</p>'
 
 
 class _Page:
-    """The robots of a report, with links from an event to its moment, and from a stop to its reason."""
+    """Writes the robots of a report."""
 
     def __init__(self, report: Report, whys: Whys, logs: str) -> None:
         self._report = report
@@ -218,7 +214,7 @@ class _Page:
         self._numbers = {id(one): number for number, (_, one) in enumerate(report.drawn)}
 
     def robots(self) -> Iterator[str]:
-        """Yield the table of drives, if there are several, and each robot."""
+        """Yield all robots, with a table of drives if there are several robots."""
         robots = self._report.robots
         if not self._is_alone:
             for number, robot in enumerate(robots):
@@ -243,10 +239,10 @@ class _Page:
             yield from self._drawn(robot, one)
         others = [one for one in robot.moments if not self._is_drawn(summary, one.time_ns)]
         if others:
-            yield from card("Events outside of the drives that are drawn", self._events(robot, others))
+            yield from card("Events outside the drawn drives", self._events(robot, others))
         yield from card("Details", definitions(summary_lines(robot, self._report)))
         if summary.refusals:
-            more = f", and {summary.other_refusals} of further kinds" if summary.other_refusals else ""
+            more = f", and {summary.other_refusals} of other kinds" if summary.other_refusals else ""
             yield from card(
                 "Refusals", records(f"Refused requests by verb, operator and reason{more}", summary.refusals)
             )
@@ -256,7 +252,7 @@ class _Page:
         yield from card("Versions and configurations", records(caption, summary.in_force))
 
     def _overview(self) -> Iterator[str]:
-        """Yield all drives in a table; one that is not drawn has the command that draws it."""
+        """Yield a table of drives, with a command for each one that is not drawn."""
         drawn = {id(one.drive): self._numbers[id(one)] for _, one in self._report.drawn}
         found = [(number, robot, one) for number, robot in enumerate(self._report.robots) for one in robot.drives]
         found.sort(key=lambda line: line[2].start_ns)
@@ -270,7 +266,7 @@ class _Page:
                 when = f'<a href="#drive-{drawn[id(drive)]}">{when}</a>'
             else:
                 command = text(self._command(robot.summary.name, drive))
-                worst += f"<details><summary>a report of its own</summary><code>{command}</code></details>"
+                worst += f"<details><summary>separate report</summary><code>{command}</code></details>"
             way = drive_distance(robot.summary, drive)
             lasted = duration((drive.end_ns - drive.start_ns) / 1e9)
             name = Html(f'<a href="#robot-{number}">{text(robot.summary.name)}</a>')
@@ -280,15 +276,15 @@ class _Page:
         more = len(found) - len(rows) + sum(robot.more_drives for robot in self._report.robots)
         caption = counted(len(found), "drive")
         if len(drawn) < len(found):
-            caption += "; the newest are drawn here, the others have the command for a report of their own"
+            caption += "; the newest are drawn here, the others have a command for a separate report"
         yield '<section aria-labelledby="overview"><h2 id="overview">Drives</h2><div class="card overview">'
-        yield from table_of(caption, ("robot", "when, UTC", "how long", "distance", "stops", "worst moment"), rows)
+        yield from table_of(caption, ("robot", "when, UTC", "duration", "distance", "stops", "worst moment"), rows)
         if more:
             yield f"<p>{counted(more, 'more drive')}, not listed.</p>"
         yield "</div></section>"
 
     def _drawn(self, robot: RobotReport, one: Drawn) -> Iterator[str]:
-        """Path, charts, stops and events of a drive, and what plays them."""
+        """Player, path, charts, stops and events of a drive."""
         summary, number = robot.summary, self._numbers[id(one)]
         yield f'<section class="drive" id="drive-{number}" data-number="{number}" aria-labelledby="of-{number}">'
         title = f"{in_words(one.start_ns)}: {duration((one.end_ns - one.start_ns) / 1e9)}"
@@ -299,10 +295,10 @@ class _Page:
             f'<div class="player" id="player-{number}" role="group" hidden '
             f'aria-label="{text(f"Play the drive of {summary.name}")}">'
             '<button type="button">Play</button>'
-            '<select aria-label="How fast"><option value="1">1x</option><option value="4">4x</option>'
+            '<select aria-label="Speed"><option value="1">1x</option><option value="4">4x</option>'
             '<option value="16">16x</option></select>'
             '<input type="range" min="0" max="1" step="1" value="0" aria-label="Time">'
-            '<span><a href="#" title="This moment: a link to share"></a> <span class="said"></span></span></div>'
+            '<span><a href="#" title="Link to this moment"></a> <span class="said"></span></span></div>'
         )
         about = f"Map of the path of {summary.name}"
         marks = '<path class="robot"/><path class="ghost"/>'
@@ -320,7 +316,7 @@ class _Page:
         yield "</section>"
 
     def _stops(self, robot: RobotSummary, stops: Sequence[Entry]) -> Iterator[str]:
-        """Each stop, with its reason to be opened; of those without one the command that gives it."""
+        """Yield each stop with its reason, folded; for the others the command that shows it."""
         others = []
         for stop in stops:
             why = self._whys.get((robot.key, stop.time_ns))
@@ -337,10 +333,10 @@ class _Page:
             yield "</ol></details>"
         if others:
             command = f"cruiser review why {self._logs} --robot {shlex.quote(robot.name)} --at {others[0]}"
-            yield f"<p>{counted(len(others), 'stop')} more; <code>{text(command)}</code> gives the reason.</p>"
+            yield f"<p>{counted(len(others), 'more stop')}; <code>{text(command)}</code> shows the reason.</p>"
 
     def _events(self, robot: RobotReport, all_moments: Sequence[Entry]) -> Iterator[str]:
-        """Yield a table of events; of too many, those that matter most."""
+        """Yield a table of events, limited to the most severe."""
         moments = all_moments
         if len(moments) > MOMENTS_SHOWN:
             worst = sorted(range(len(moments)), key=lambda number: _RANKS.get(moments[number].severity, 0))
@@ -356,22 +352,22 @@ class _Page:
             for one in moments
         ]
         left_out = len(all_moments) - len(rows) + robot.more_moments
-        caption = "In parentheses: the holder of the lease"
+        caption = "The holder of the lease is in parentheses"
         if left_out:
-            caption += f"; {left_out} of less weight, or later, are left out"
+            caption += f"; {left_out} less severe or later ones are left out"
         head = ("time, UTC", "what", "reason", "operator", "text")
         looks = [(one.severity.value, f' data-ms="{one.time_ns // _MS}"') for one in moments]
         yield from folded(caption, table_of(caption, head, rows, looks), rows)
 
     def _at(self, robot: RobotSummary, time_ns: int, words: str) -> str:
-        """A link to a moment; the words alone where it is not drawn."""
+        """A link to a moment, or the words alone if it is not drawn."""
         if not self._is_drawn(robot, time_ns):
             return text(words)
         named = "" if self._is_alone else f"&robot={quote(robot.name, safe='')}"
         return f'<a href="{text(f"#t={iso(time_ns)}{named}")}">{text(words)}</a>'
 
     def _is_drawn(self, robot: RobotSummary, time_ns: int) -> bool:
-        """Report whether a moment is on a time axis, which has whole milliseconds."""
+        """True if a moment is on a time axis, in whole milliseconds."""
         return any(
             one.start_ns // _MS * _MS <= time_ns <= -(-one.end_ns // _MS) * _MS
             for summary, one in self._report.drawn
@@ -379,7 +375,7 @@ class _Page:
         )
 
     def _command(self, robot: str, drive: RecordedDrive) -> str:
-        """The command that makes the report of one drive."""
+        """The command for the report of a drive."""
         from_ns, to_ns = max(0, drive.log_start_ns - MARGIN_NS), drive.log_end_ns + MARGIN_NS
         file = shlex.quote(f"{robot}-{re.sub('[-:]', '', iso(drive.start_ns)[:19])}Z.html".replace("/", "-"))
         period = f"--from {iso(from_ns)} --to {iso(to_ns)}"
@@ -387,7 +383,7 @@ class _Page:
 
 
 def _chart(name: str, kind: str, about: str, caption: str, marks: str) -> Iterator[str]:
-    """A chart, with the marks that move over it."""
+    """A chart and its moving marks."""
     yield '<figure><div class="stage">'
     yield f'<div class="chart {kind}" id="{name}" role="group" aria-label="{text(about)}"></div>'
     yield f'<svg aria-hidden="true">{marks}</svg></div>'
@@ -405,16 +401,16 @@ def _completeness(summary: RobotSummary) -> Iterator[str]:
             (topic.removeprefix(f"{summary.key}/"), *msgspec.structs.astuple(one))
             for topic, one in (lossy or summary.completeness).items()
         ]
-        caption = "Samples of each topic on their way from the source into the log, and where they were lost"
+        caption = "Samples by topic, from the source into the log, and where they were lost"
         table = table_of(caption, ("topic", *_LOSS_HEADS), rows)
         yield from table if lossy else folded("All topics", table)
 
 
 def _files(report: Report) -> Iterator[str]:
     yield '<section aria-labelledby="files"><h2 id="files">Files</h2><div class="card">'
-    yield from records("Source of this report", report.files)
+    yield from records("Sources of this report", report.files)
     if report.faults:
-        yield "<h3>What could not be read</h3><ul>"
+        yield "<h3>Unreadable data</h3><ul>"
         yield from (f"<li>{text(fault)}</li>" for fault in report.faults)
         if report.fault_count > len(report.faults):
             yield f"<li>and {report.fault_count - len(report.faults)} more</li>"
@@ -426,12 +422,12 @@ def _files(report: Report) -> Iterator[str]:
 
 
 def text(value: object) -> str:
-    """Anything as text of the page: no tag, no attribute, no character that rules the line."""
+    """Escape anything for the page: no tags, no attributes, no control characters."""
     return escape(plain(str(value)))
 
 
 def safe_json(value: Any) -> str:  # noqa: ANN401 - whatever JSON can hold
-    """JSON that can stand in a script element: nothing in it ends that, or begins a comment."""
+    """JSON for a script element: it cannot end the element or begin a comment."""
     encoded = msgspec.json.encode(value).decode()
     for character in "<>&\u2028\u2029":
         encoded = encoded.replace(character, f"\\u{ord(character):04x}")
@@ -446,7 +442,7 @@ def card(title: str, inner: Iterable[str], level: int = 3) -> Iterator[str]:
 
 
 def definitions(lines: Sequence[Line]) -> Iterator[str]:
-    """Names, and what is said of each."""
+    """A list of names and texts."""
     yield "<dl>"
     for name, said in lines:
         yield f"<dt>{text(name)}</dt><dd>{text(said)}</dd>"
@@ -454,7 +450,7 @@ def definitions(lines: Sequence[Line]) -> Iterator[str]:
 
 
 def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) -> Iterator[str]:
-    """The table, below a title to be opened if these rows of it are many; without rows in any case."""
+    """The table, folded below a title if it has many rows; without ``rows`` always."""
     if rows is not None and len(rows) <= _OPENED:
         yield from table
         return
@@ -464,7 +460,7 @@ def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) 
 
 
 def records(caption: str, found: Sequence[msgspec.Struct]) -> Iterator[str]:
-    """A table of alike records, a column a field."""
+    """A table of records with a column for each field."""
     if not found:
         yield f"<p>{ABSENT.capitalize()}.</p>"
         return
@@ -491,7 +487,7 @@ def _cell(field: str, value: Any) -> str | int:  # noqa: ANN401 - any field of a
 def table_of(
     caption: str, head: Sequence[str], rows: Sequence[Row], looks: Sequence[tuple[str, str]] | None = None
 ) -> Iterator[str]:
-    """A table; a column is of numbers if the first row has one there. Rows may have a class, and attributes."""
+    """A table; a column holds numbers if the first row does. ``looks``: class and attributes of each row."""
     heads = "".join(
         f'<th scope="col"{_look(one)}>{text(name)}</th>' for name, one in zip(head, rows[0], strict=True)
     )

@@ -59,39 +59,39 @@ class Scenario(msgspec.Struct, frozen=True):
 
 ROWS: Final = """\
 front_bumper front_bumper: driving; fault bumper front on for 700ms; drive 0.6 0.3; rest
-    0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01 | FrontBumper = 1 | said 0
+    0x18C4D9EF Auto_MileageAndBodyFeedback, 01 39 30 00 01 | FrontBumper = 1 | read 0
 rear_bumper rear_bumper: driving; fault bumper rear on for 700ms; drive 0.6 0.3; rest
     01 39 30 00 10 | RearBumper = 1
 longer_deadman deadman: ready; engage 0.8; drive 0.6 1.5; run 1.5; rest
-    810 ms before | the limit is 800 ms (as engage asked for)
+    810 ms before | the limit is 800 ms (requested by engage)
 deadman deadman: driving; run 1; rest
-    of operator-1 | 310 ms before | the limit is 300 ms | No drive command at all
+    from operator-1 | 310 ms before | the limit is 300 ms | No drive command followed
 stale_commands deadman: driving; stale 80; rest
     15 drive requests | 1290 ms, at most 1000 ms | seq 134, 1290 ms old
 repeated_sequence deadman: driving; repeat 20; rest
     15 drive requests | did not increase, or increased by too much; 6 after 69
 lease_expired lease_expired: driving lease_s:0.5 deadman_s:0.5; run 1; rest
-    drive of operator-1, 500 ms before the stop | a lease lasts 500 ms
+    drive from operator-1, 500 ms before the stop | a lease lasts 500 ms
 lease_taken lease_taken: driving; taken operator-2; rest
-    take, of operator-2
+    take from operator-2
 lease_released lease_released: driving; says release; rest
-    release, of operator-1
+    release from operator-1
 disengaged disengaged: driving; says disengage; rest
-    disengage, of operator-1
+    disengage from operator-1
 remote_stop remote_stop: driving; stop; rest
-    stop, of desk
+    stop from desk
 hand_transmitter hand_transmitter: driving; fault transmitter remote for 9s; drive 0.6 0.3; run 1
-    Mode = remote | the last one that did not, 20.0 ms
+    Mode = remote | the last one before it, 20.0 ms
 one_silent_frame feedback_missing: driving; fault silence Auto_GearFeedBack for 500ms; drive 0.6 0.4; rest
-    last good Auto_GearFeedBack came 110 ms before the stop | the limit is 100 ms (its period is 10 ms)
+    last valid Auto_GearFeedBack was received 110 ms before the stop | the limit is 100 ms (its period is 10 ms)
 slow_silent_frame feedback_missing: driving; fault silence Auto_WheelSpdFeedback for 900ms; drive 0.6 0.8; rest
-    last good Auto_WheelSpdFeedback came 510 ms | the limit is 500 ms
+    last valid Auto_WheelSpdFeedback was received 510 ms | the limit is 500 ms
 checksums feedback_faulty: driving; fault checksum Auto_DriveFeedBack for 5 frames; drive 0.6 0.3; rest
-    last good Auto_DriveFeedBack | 5 of | had a wrong checksum | which should end with
+    last valid Auto_DriveFeedBack | 5 of | had a wrong checksum | which should end with
 stuck_counter feedback_faulty: driving; fault stuck Auto_SteeringFeedBack for 8 frames; drive 0.6 0.3; rest
-    last good Auto_SteeringFeedBack | the last alive counters:
+    last valid Auto_SteeringFeedBack | the last alive counters:
 wrong_scale implausible_speed: driving; fault scale wrong for 800ms; drive 0.6 0.5; rest
-    Auto_DriveFeedBack said Speed = 21 | beyond 3
+    Auto_DriveFeedBack read Speed = 21 | beyond the limit 3
 other_commander other_commander: driving; fault foreign 18C4D3D0 every 10ms for 200ms; drive 0.6 0.3; rest
     1 command frame that this gateway did not send | 0x18C4D3D0
 bus_lost bus_down: driving; links bus_up:0 bus_losses:1; blind; drive 0.6 1.2
@@ -103,20 +103,20 @@ late_loop loop_late: driving; tick_late 150; drive 0.6 0.1; rest
 flooded feedback_late: driving; links is_behind:1; drive 0.6 0.1; links; rest
     frames per s 630
 full_bus send_failed: driving; takes 2; drive 0.6 0.2; takes; rest
-    5 ticks in a row | 2 to 2 of five frames went out
+    5 such ticks in a row | 2 to 2 of five frames were sent
 not_confirmed not_confirmed: ready; deaf; take; ask engage; drive 0 1.2; rest
-    engage, of operator-1 | 1.00 s before the stop | Mode = stop
+    engage from operator-1 | 1.00 s before the stop | Mode = stop
 found_moving found_moving: driving; links bus_up:0 bus_losses:1; run 0.1; links bus_losses:1; run 0.3; rest
-    there is no CAN bus | said 0.60 m/s
+    there is no CAN bus | read 0.60 m/s
 shut_down shutdown: driving; shutdown; drive 0.6 0.1; rest
 rolling rolling: ready; fault slope 8; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest
-    rear wheels turned at -0. | commanded was 0.50 m/s
+    rear wheels read -0. | commanded 0.50 m/s
 not_moving not_moving: ready; engage; drive 0.5 1.3; fault motor 0; on 0.5; rest
-    drive feedback said 0.00 m/s, commanded was 0.50 m/s
+    drive feedback 0.00 m/s, commanded 0.50 m/s
 frozen_mileage feedback_frozen: ready; engage; drive .6 1.3; fault freeze Auto_MileageAndBodyFeedback; on 0.6; rest
     mileage read 12.345 km, and did not change over 3 m
 stuck_steering steering: ready; engage; drive 0.6 1.3; fault freeze Auto_SteeringFeedBack; on 0.6 15; rest
-    read 0.0 deg, commanded was 1 | to 15.0 deg; over 5 deg beside
+    read 0.0 deg, commanded 1 | to 15.0 deg; a deviation over 5 deg
 """
 """Of each scenario its name, the reason to be named, and its script; below that what the evidence has to say."""
 

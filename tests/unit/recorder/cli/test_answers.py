@@ -195,27 +195,27 @@ $ why bumper.mcap other.mcap --robot cruiser-2
 == a moment that the log does not hold is a failure without a reason, however near [bumper.mcap]
 1$ why bumper.mcap --json --at=100
     {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
-    The log does not hold that moment: it ends 95.
-    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+    The log does not cover that moment: it ends 95.
+    not in the log: that moment: the log covers 2023-11-14 22:13:20
 1$ why bumper.mcap --json --at=8
     {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
-    The log does not hold that moment: it ends 3.
-    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+    The log does not cover that moment: it ends 3.
+    not in the log: that moment: the log covers 2023-11-14 22:13:20
 1$ why bumper.mcap --json --at=2027-01-01T00:00:00Z
     {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
-    The log does not hold that moment: it ends
-    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+    The log does not cover that moment: it ends
+    not in the log: that moment: the log covers 2023-11-14 22:13:20
 1$ why bumper.mcap --json --at=-100
     {"state": null, "reason": "none", "stop_ns": null, "chain": [{"step": "missing"}]}
-    The log does not hold that moment: it begins 95.
-    not in the log: that moment: the log goes from 2023-11-14 22:13:20
+    The log does not cover that moment: it begins 95.
+    not in the log: that moment: the log covers 2023-11-14 22:13:20
 == a stub says that it is one [stub-8.mcap stub-100.mcap]
 3$ why stub-8.mcap => nothing of a robot | ends without a footer
 3$ why stub-100.mcap => nothing of a robot | is cut off within a record
 == a whole log is described [whole.mcap]
 $ info whole.mcap
     whole.mcap: whole | robot cruiser-1, variant coarse | fleet/cruiser-1/chassis/gear
-    nothing was lost, as its recorder says
+    nothing lost, by the recorder's account
 == what was lost is told as the recorder says [lost.mcap]
 $ info lost.mcap => fleet/x 9 5 5 - 0 4 0 0 0 0
 == info as JSON is an object a log and one for all [whole.mcap cut.mcap.part]
@@ -380,7 +380,7 @@ $ report a.mcap --json
 == without a name a report is report.html, and what is there is replaced [a.mcap report.html]
 $ report a.mcap => file report.html has Drive report
 == a damaged log gives a report of what can be read [drive-cut.mcap]
-3$ report drive-cut.mcap -o r.html => cruiser review: drive-cut.mcap: byte | file r.html has What could not be read
+3$ report drive-cut.mcap -o r.html => cruiser review: drive-cut.mcap: byte | file r.html has Unreadable data
 == a gateway that died is told on the terminal and as JSON [restart.mcap]
 $ report restart.mcap => 1 stop: the gateway died; 40 samples lost. | Gateway silent for 2.0 s from
 $ report restart.mcap --json => "kind":"gap" | "kind":"gateway" | "variant":"coarse"
@@ -393,7 +393,7 @@ $ report a.mcap --json --from 1 --to 2 => {"robots": [{"known_s": 0.95}]}
 1$ report a.mcap -o nowhere/r.html => cannot write
 == a report of one robot of several [two.mcap]
 $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
-2$ report two.mcap --json --robot r-3 => there is nothing of r-3 in these logs
+2$ report two.mcap --json --robot r-3 => the logs hold nothing of r-3
 == what means nothing is a matter of usage [logs/a.mcap logs/cruiser-2-b.mcap]
 2$ find 'stop last 7d' logs => invalid choice: 'stop last 7d' (choose from
 2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?

@@ -146,7 +146,7 @@ ILL = health(
 SILENT = health(feedback=frames(failures=["silence"]), faults={"silence": 2})
 
 CHECKSUMS = "warning 3x this: frames with a wrong checksum"
-NO_BUS = "error 1x: the CAN bus can0 is not there"
+NO_BUS = "error 1x: the CAN bus can0 is down"
 
 HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (ILL, ILL, []),
@@ -154,16 +154,16 @@ HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (WELL, health(faults={"period": 5}), ["warning 5x: frames came irregularly"]),
     (WELL, health(feedback=frame(checksum_faults=3)), [CHECKSUMS]),
     (WELL, health(feedback=frame(failures=["silence"])), ["warning 1x this: silent"]),
-    (WELL, health(inbox_drops=5), ["warning 5x: requests were dropped unread: too many came"]),
+    (WELL, health(inbox_drops=5), ["warning 5x: requests were dropped unread: too many arrived"]),
     (WELL, health(bus_up=False, bus_detail="no such device"), [f"{NO_BUS}: no such device"]),
     (
         WELL,
         health(controller=ControllerState.PASSIVE),
-        ["warning 1x: the CAN controller: unknown before, passive now"],
+        ["warning 1x: the CAN controller changed from unknown to passive"],
     ),
-    (WELL, health(variant=Variant.FINE), ["over info 1x: the firmware variant: coarse before, fine now"]),
-    (health(bus_up=False), WELL, ["over info 1x: the CAN bus can0 is back"]),
-    (health(feedback=frame(failures=["period"])), WELL, ["over info 1x this: no longer at fault (period)"]),
+    (WELL, health(variant=Variant.FINE), ["over info 1x: the firmware variant changed from coarse to fine"]),
+    (health(bus_up=False), WELL, ["over info 1x: the CAN bus can0 is up again"]),
+    (health(feedback=frame(failures=["period"])), WELL, ["over info 1x this: recovered (period)"]),
     # Counts of before a log's beginning are none of its.
     (None, ILL, [NO_BUS, "warning 1x this: checksums fail"]),
     # The sum over all frames is left out where a frame tells.
@@ -177,7 +177,7 @@ HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (
         SILENT,
         health(feedback=frames(lost=50), faults={"silence": 2}),
-        ["over info 2x both: no longer at fault (silence)", "over warning 100x both: missing frames"],
+        ["over info 2x both: recovered (silence)", "over warning 100x both: missing frames"],
     ),
 ]
 ABOUT = {(): "", (FRAME.name,): " this", NAMES: " both"}

@@ -30,10 +30,10 @@ from tests.support.rigs.scenarios import recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
-AFTER = " (after this time, as the next gateway/health says)"
+AFTER = " (after this time, by the next gateway/health)"
 """Behind what has gone wrong between two healths."""
 
-BEGAN = "another run of the gateway began: leases, engagement and latches of before are void"
+BEGAN = "the gateway restarted: earlier leases, engagement and latches are void"
 GATEWAY = RecorderEventKind.GATEWAY
 
 
@@ -116,7 +116,7 @@ def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *,
     rig = scenarios.stepped_clock(steps_recorder=steps_recorder)
     start_ns = gateway.WALL_NS
     found = told(path, rig.log(), Selection(from_ns=start_ns + SECOND, to_ns=start_ns + 6 * SECOND))
-    assert not [one.text for one in found if "fell silent" in one.text]
+    assert not [one.text for one in found if "went silent" in one.text]
     assert [one.text for one in found if one.kind is EntryKind.GAP and "ends here" not in one.text] == []
     if steps_recorder:
         assert EntryKind.CLOCK in {one.kind for one in told(path, rig.log())}
@@ -135,7 +135,7 @@ def test_what_the_recorder_says_is_told(path: Path) -> None:
         (EntryKind.GAP, ROBOT, 12, ""),
         (EntryKind.RECORDER, "", 1, "operator-1"),
     ]
-    assert "the disk did not take or keep them" in entries[0].text
+    assert "the disk did not store them" in entries[0].text
 
 
 RUNS = {"A": FIRST_TICK, "B": 5}
@@ -155,18 +155,18 @@ A 0-200; stop 150; A 200-400 -360000; stop 350 -360000
 == a gateway that hung is no dead one
 A 0-200 driven; health 100; gone 210; A 200-300 +398 driven; health 700 dropped; A 300-305 +398 driven
     100 fault warning 10x: requests were dropped unread: the loop did not read for 4.0 s AFTER
-    195 gap warning 1x: nothing of the arbiter for 4.0 s: the gateway made 5 ticks meanwhile: its loop stood still
-    210 gateway warning 1x: the recorder received nothing of the gateway for 4.0 s, then the same run again: \
-its loop had stood still
+    195 gap warning 1x: no arbiter state for 4.0 s: the gateway ran 5 ticks in that time, its loop hung
+    210 gateway warning 1x: the recorder received nothing from the gateway for 4.0 s, then the same run \
+continued: its loop had hung
 == a recorder that stood still heard of no death
 A 0-200; gone 210; A 200-1000 held 200-800
-    210 gateway warning 1x: the recorder received nothing of the gateway for 6.0 s, then the same run again: \
-it had run on: the recorder or the link stood still
+    210 gateway warning 1x: the recorder received nothing from the gateway for 6.0 s, then the same run \
+continued: it had run on, the recorder or the link had stalled
 == a gateway that another run follows has died
 A 0-200 driven; gone 210; B 500-600
-    195 gap error 1x: nothing of the arbiter for 3.0 s: the gateway fell silent, engaged, commanded 0.80 m/s
+    195 gap error 1x: no arbiter state for 3.0 s: the gateway went silent, engaged, commanded 0.80 m/s
     210 gateway error 1x: the gateway died
-    500 gateway error 1x: BEGAN; the one before was engaged, commanded 0.80 m/s
+    500 gateway error 1x: BEGAN; before that it was engaged, commanded 0.80 m/s
 == a death is told of its robot where the log ends with it
 A 0-5; gone 0
     0 gateway error 1x: the gateway died
@@ -178,10 +178,10 @@ A 0-1000 held 0-150; reset 200
     200 reset info 1x: reset 0
 == a clock that is found to be wrong some seconds later is no silence
 A 0-1000 behind 500
-    300 clock warning 1x: the robot's clock is 5.0 s behind the recorder's; the times here are the recorder's
+    300 clock warning 1x: the robot's clock is 5.0 s behind the recorder's; times here are the recorder's
 == two gateways of one name are said once
 A 0-1000 & B 302-1000 driven
-    305 gateway warning 1x: two gateways speak under this name: these entries are of both
+    305 gateway warning 1x: two gateways use this name: these entries are from both
 == what was asked for later is told in its place
 reset 500-510; reset 0-10 held 0-515
     0 reset info 1x: reset 2
@@ -192,7 +192,7 @@ reset 500-510; reset 0-10 held 0-515
 A 0-100; reset 3; A 300-500; reset 400 skipping 6
     3 reset info 1x: reset 0
     3 gap warning 6x: 6 samples of fleet/cruiser-1/safety/event are not in the log
-    95 gap warning 40x: nothing of the arbiter for 2.0 s: 40 samples are missing
+    95 gap warning 40x: no arbiter state for 2.0 s: 40 samples are missing
     400 reset info 1x: reset 7
 """
 """A name; what was said, from and to ticks of two runs; and the entries, with the tick of each.

@@ -52,7 +52,7 @@ given deadman
 last
     action: from 0.60 m/s to zero at 1.2 m/s2 in 490 ms
     action: zero speed after 490 ms, parking brake after ...0 ms, hold after 7...0 ms, enables off after 1.7
-    action: at 0.60 m/s, was slower than 0.05 m/s after 6...0 ms and 0.2
+    action: at 0.60 m/s, was below 0.05 m/s after 6...0 ms and 0.2
     action: stopped: at standstill, no commands sent
 == a speed in doubt gives no distance
 given wrong_scale
@@ -61,8 +61,8 @@ last
 == what was commanded is told with its numbers
 given deadman
 last
-    evidence: seq 69 of operator-1...310 ms before the stop: 0.60 m/s...300 ms (by its configuration)
-    command: seq 69 of operator-1...asked for 0.60 m/s
+    evidence: seq 69 from operator-1...310 ms before the stop: 0.60 m/s...300 ms (from its configuration)
+    command: seq 69 from operator-1...requested 0.60 m/s
 -1200
     headline: It was engaged and moved, at 0. | reason: none | no cause
 == a moment before the stop shows the robot as it was
@@ -74,14 +74,14 @@ given front_bumper
 given driving; says disengage; rest; operator operator-1; engage; drive 0.6 1.0; says disengage; rest; from \
 disengaged
 50
-    evidence: the request was disengage, of operator-1 | no evidence: came after it
+    evidence: the request was disengage from operator-1 | no evidence: command followed
     action: stopped: at standstill, no commands sent, after 2.25 s | no action: moved again
 == a stop that the remote control cuts short keeps its cause
 given driving; says disengage; run 0.2; fault transmitter remote for 9s; until standby; run 1; from \
 hand_transmitter
 -20
     headline: It was being stopped: the holder of the lease disengaged.
-    no action: stopped: no commands sent
+    no action: stopped:
 == a stop that was followed by an engagement is no answer
 given driving; run 1; rest; operator operator-2; engage; drive 0.6 1.5; without safety/state
 -3000
@@ -95,27 +95,27 @@ last
 == a recording that ends at work is said to end
 given driving; drive 0.6 2.0
 -200
-    missing: the seconds behind this: the gateway died, or the recording ended
+    missing: the seconds after this: the gateway died, or the recording ended
 -1500
     no missing: the recording ended
 == after a takeover the sticks move the robot on
 given driving; fault transmitter remote for 3s; drive 0.6 0.6; fault sticks 0.4 5; until stopping; rest; from \
 hand_transmitter
 -100
-    headline: 100 ms later it was let go: the remote control has the robot
-    evidence: said Mode = remote, at the takeover
+    headline: 100 ms later the gateway let go: the remote control has the robot
+    evidence: read Mode = remote, at the takeover
 20
     reason: hand_transmitter | action: the gateway sends nothing
-    no action: stopped: no commands sent
+    no action: stopped:
 == the stop that comes later is none of the takeover's
 given driving; fault transmitter remote for 3s; drive 0.6 0.6; fault sticks 0.4 5; until stopping; rest; from \
 found_moving
 -100
     reason: hand_transmitter | state: standby | headline: It was not engaged. The last stop was
-    cause: it could not be engaged: the robot moves | no action: stopped: no commands sent
+    cause: it could not be engaged: the robot moves | no action: stopped:
 -5
     headline: It was not engaged; 5.0 ms later a stop began: found moving at 0.3
-    cause: it could not be engaged: the remote control has the robot | evidence: said Mode = remote
+    cause: it could not be engaged: the remote control has the robot | evidence: read Mode = remote
     no missing
 100
     reason: found_moving | no command: valid drive command
@@ -123,8 +123,8 @@ found_moving
 given driving; fault bumper front on for 700ms; drive 0.6 0.2; rest; run 14; take; says engage front_bumper
 0
     state: standby | evidence: FrontBumper = 1
-    latch: latched with this stop: front_bumper, and no reset of it is in the log
-    command: one engage request of operator-1 was refused
+    latch: latched with this stop: front_bumper; no reset of it is in the log
+    command: one engage request from operator-1 was refused
 == another latch than that of the stop has evidence of its own
 given driving; run 1; rest; stop; run 14
 0
@@ -142,7 +142,7 @@ given driving; stop; rest; take; reset; run 0.3
 given ready; take; ask engage; run 0.2; drive 0.5 0.5
 0
     headline: It was engaged and stood: the parking brake is applied.
-    command: asked for 0.50 m/s, 0.0 deg; commanded was 0.00 m/s
+    command: requested 0.50 m/s, 0.0 deg; commanded 0.00 m/s
     cure: to cure parked: allow drive commands to release it: 'cruiser unpark cruiser-1
 == zero speed is nobody's fault
 given ready; engage; drive 0 0.5
@@ -161,38 +161,38 @@ given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says re
 given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive 0.0 0.3
 0
     headline: It was engaged and stood: operator-1 requested zero speed.
-    cause: it could not be driven forward: the front bumper was hit, and was pressed still
+    cause: it could not be driven forward: the front bumper was hit, and is still pressed
 == one that is to go there stands for the bumper, which was reset
 given driving; fault bumper front on for 60s; drive 0.6 0.2; rest; take; says reset; engage; drive 0.5 0.5
 0
     headline: It was engaged and stood: the front bumper was hit.
-    cause: it could not be driven forward: the front bumper was hit, and was pressed still
+    cause: it could not be driven forward: the front bumper was hit, and is still pressed
     evidence: FrontBumper = 1 | cure: to cure front_bumper: drive backward
 == a gateway that died is told, and no stop of before
 given KILLED; another 3; run 4
 last
-    reason: none | silent_ms: 0 | headline: It was engaged and moved, at 0.60 m/s. The gateway fell silent
+    reason: none | silent_ms: 0 | headline: It was engaged and moved, at 0.60 m/s. The gateway went silent
 -1200
     no headline: silent
 -400
     state: engaged
-    headline: m/s. The gateway fell silent 4...after that moment, engaged, at 0.60 m/s; another run began 3.
-    missing: what the guard did, which watched the gateway
-    evidence: in the first drive feedback of the next gateway, the robot stood
+    headline: m/s. The gateway went silent 4...after that moment, engaged, at 0.60 m/s; it restarted 3.
+    missing: not in the log: what the guard did
+    evidence: in the next gateway's first drive feedback, the robot stood
 -60
-    headline: m/s. The gateway fell silent
+    headline: m/s. The gateway went silent
 1000
     state: none | reason: none | stop_ms: none | silent_ms: 0 | no cause: deadman
-    headline: The gateway fell silent 1.0...engaged, at 0.60 m/s; another run began 2.0
+    headline: The gateway went silent 1.0...engaged, at 0.60 m/s; it restarted 2.0
 3500
     state: standby | reason: none | stop_ms: none | silent_ms: 0
-    headline: It was not engaged: no operator holds the lease...The gateway fell silent 3.5
+    headline: It was not engaged: no operator holds the lease...The gateway went silent 3.5
 == a death is dated by the last state, whatever the next gateway says first
 given ready; run 0.9; engage; drive 0.6 4; mark; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4
 given ready; engage; drive 0.6 1; another 0.3; run 1.5; engage; drive 0.6 4; mute 0.4; mark; another 0.3; run \
 1.5; mute 0.4
 100 600 1000
-    silent_ms: 0 | headline: , engaged, at 0.60 m/s; another run began
+    silent_ms: 0 | headline: , engaged, at 0.60 m/s; it restarted
 last
     silent_ms: 0
 == a death that a recorder saw is told where no other gateway follows
@@ -200,7 +200,7 @@ given driving; drive 0.6 2; mark; gone 0
 last -200 1000
     silent_ms: 0 | headline: GONE | cause: GONE | no missing: is not told
 30000
-    headline: The log does not hold that moment
+    headline: The log does not cover that moment
 -1500
     silent_ms: none
 == diary: a gateway that was killed, and its guard stopped the robot
@@ -211,22 +211,22 @@ given KILLED; another 3; note; run 1; ended; run 3
 == diary: a gateway and its guard, both killed
 given driving 0.8; mark; followed 2.8; run 4
 0 1000
-    evidence: still moved, at 0.80 m/s: it drove on for at least 2...; it stood after
-    action: the next gateway says: | missing: not in the log: what the guard did
+    evidence: still moved, at 0.80 m/s: it drove at least 2...and stood after
+    action: the next gateway reported: | missing: not in the log: what the guard did
 == diary: a gateway that hung is not told as dead
 given driving 0.8; mark; gone 30; hang 0.13; run 4
 given driving 0.8; mark; gone 30; hang 0.5; run 4
 given driving 0.8; mark; gone 30; hang 2; run 4
 given driving 0.8; mark; gone 30; hang 3; run 4
 50 400 1500
-    reason: guard | stop_ms: 90 | silent_ms: none | no headline: died | no cause: died | no cause: another run
-    headline: The gateway's loop stood still for ...engaged, at 0.80 m/s: the guard began to stop the robot 9
-    evidence: the guard began 9...by the first of its | action: was slower than 0.05 m/s after
+    reason: guard | stop_ms: 90 | silent_ms: none | no headline: died | no cause: died | no cause: restarted
+    headline: The gateway's loop hung for ...engaged, at 0.80 m/s: the guard began to stop the robot 9
+    evidence: the guard began 9...frames, the first:  | action: was below 0.05 m/s after
 == what its guard did is told by the next gateway, soon or late, and a recorder's word changes nothing
 given KILLED; gone 0; another 3; note; run 1; ended; run 3
 given KILLED; gone 0; another 40; note; run 1; ended; run 3
 last -400 1000
-    silent_ms: 0 | cause: another run of the gateway began | no missing: guard
+    silent_ms: 0 | cause: the gateway restarted | no missing: guard
     action: the guard's note, found at the next start: NOTE | action: the guard's stop has ended: ENDED
 == what the log does not hold is said: raw frames
 given one_silent_frame; without journal
@@ -242,16 +242,16 @@ last
 given deadman; without safety/state, safety/event
 last
     missing: not in the log: the arbiter's state at this moment
-== without a configuration the limits are the start values
+== without a configuration the limits are the defaults
 given deadman; unnamed
 last
-    evidence: the start value; no configuration is in the log
+    evidence: the default; no configuration is in the log
 == a silence is shown by when the arbiter was given the frames
 given driving; starve; rest
 last
     reason: feedback_missing
-    evidence: good Auto_GearFeedBack came 110 ms before the stop...limit is 100 ms...the bus had 11 more, which \
-the arbiter had not been given
+    evidence: valid Auto_GearFeedBack was received 110 ms before the stop...limit is 100 ms...; 11 more were on \
+the bus, not read yet
 """
 """A name; scripts of logs (see ``script``); moments of each, in milliseconds from its time, or its ``last`` stop.
 

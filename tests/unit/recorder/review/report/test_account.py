@@ -124,7 +124,7 @@ def test_names_without_end_cost_no_memory_without_end() -> None:
 
 
 ENDS_HERE = "gap warning the log ends here: engaged, commanded 1.00 m/s"
-FELL = "nothing of the arbiter for 59.8 s, up to the end: the gateway fell silent,"
+FELL = "no arbiter state for 59.8 s, until the end: the gateway went silent,"
 
 
 @pytest.mark.parametrize(
