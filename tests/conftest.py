@@ -83,6 +83,15 @@ def _scheduled_as_before() -> Iterator[None]:
     assert after == before
 
 
+@pytest.fixture(scope="module")
+def running_browser() -> Iterator[Any]:
+    """One Chromium for all tests of a module; each has its own context."""
+    from tests.support.processes.desk import chromium  # noqa: PLC0415 - it needs playwright
+
+    with chromium() as running:
+        yield running
+
+
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     disk = tmp_path / "disk"

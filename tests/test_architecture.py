@@ -8,9 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from tests.support.reach import imports, modules
+from tests.support.reach import modules
 
 ROOT = Path(__file__).parent.parent
 
@@ -82,14 +80,6 @@ def test_every_room_has_a_contract_of_what_it_may_touch() -> None:
     bound = contracts()
     kinds = [bound["pure"], bound["questions"], bound["world"], WORLD]
     assert {room: sum(room in kind for kind in kinds) for room in rooms()} == dict.fromkeys(rooms(), 1)
-
-
-@pytest.mark.parametrize("module", ["time", "threading", "socket", "os", "zenoh", "can"])
-def test_a_core_that_touched_the_world_would_be_seen(module: str) -> None:
-    """The contract of the cores forbids what they would need for it."""
-    parser = configparser.ConfigParser()
-    parser.read(ROOT / ".importlinter")
-    assert module in parser["importlinter:contract:pure"]["forbidden_modules"].split()
 
 
 def test_only_one_module_opens_zenoh_sessions() -> None:
@@ -261,34 +251,6 @@ for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
 def test_every_command_explains_itself_without_the_extras() -> None:
     """An extra is imported when it is needed: 'make demo' and a robot have none."""
     subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], cwd=ROOT, check=True)
-
-
-def circles(found: dict[str, set[str]]) -> list[str]:
-    """Take out again and again what imports nobody that is left; what stays is in a circle, or needs one."""
-    left = {name: {one for one in imported if one != name} for name, imported in found.items()}
-    while bottom := [name for name, imported in left.items() if not imported & left.keys()]:
-        for name in bottom:
-            del left[name]
-    return sorted(left)
-
-
-def test_no_modules_import_each_other() -> None:
-    """Nor in a circle of several."""
-    assert circles(imports()) == []
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()}) == ["a", "b", "c"]
-
-
-def test_no_two_folders_import_each_other() -> None:
-    """One is above the other, so that it can be read without it. ``gateway.__main__`` is the command line's."""
-    known, found = modules(), imports()
-    folder = {name: name if known[name].name == "__init__.py" else name.rpartition(".")[0] for name in known}
-    crossing = {
-        (folder[name], folder[one])
-        for name, imported in found.items()
-        for one in imported
-        if name != "gateway.__main__" and folder[name] != folder[one] and known[one].name != "__init__.py"
-    }
-    assert {pair for pair in crossing if pair[::-1] in crossing} == set()
 
 
 def test_a_name_of_a_module_means_one_in_its_package() -> None:

@@ -20,10 +20,9 @@ from schemas.decisions import LeaseReply
 from tests.bench.command_latency import COMMAND, Driver, drives_us, on_the_road, until
 from tests.bench.loads import Row
 from tests.bench.processes import quantile
-from tests.support.authority import DAY_S, Fleet, Party
-from tests.support.provisioned import provision
+from tests.support.signed_site import ROBOT, ROOT, Site
 
-ROOT, ROBOT, NAME = "fleet", "cruiser-1", "bench"
+NAME = "bench"
 
 
 class SignedDriver(Driver):
@@ -62,34 +61,22 @@ class SignedDriver(Driver):
         return False
 
 
-class Keys:
-    def __init__(self, directory: Path) -> None:
-        fleet, robot, self._operator = Fleet(), Party(ROBOT), Party(NAME)
-        now_s = int(time.time())
-        holds = {"not_before": now_s - 60, "not_after": now_s + DAY_S}
-        fleet.authority.grant(robot, role=GrantRole.ROBOT, robots=[ROBOT], **holds)
-        fleet.authority.grant(self._operator, role=GrantRole.SUPERVISOR, **holds)
-        self._trust = fleet.trust
-        provision(directory, "robot", robot, fleet)
-        self.configuration = directory / "robot.toml"
-        self.configuration.write_text(f'[authority]\nmode = "signed"\ndirectory = "{directory}"\n', "utf-8")
-
-    def driver(self, endpoint: str) -> SignedDriver:
-        party = self._operator
-        proof = OperatorProof(party.private, party.chain, self._trust, ROOT, lambda: int(time.time()))
-        return SignedDriver(endpoint, proof)
-
-
 def measure(turns: int, drives: int) -> list[tuple[list[float], list[float]]]:
     """Of each turn, open and signed: microseconds from put to frame, sorted."""
     found: list[tuple[list[float], list[float]]] = []
     with tempfile.TemporaryDirectory() as directory:
-        keys = Keys(Path(directory) / "keys")
+        site = Site(Path(directory))
+        party = site.fleet.operator(NAME, role=GrantRole.SUPERVISOR, **site.holds)
+
+        def signed_driver(endpoint: str) -> SignedDriver:
+            proof = OperatorProof(party.private, party.chain, site.fleet.trust, ROOT, lambda: int(time.time()))
+            return SignedDriver(endpoint, proof)
+
         for turn in range(turns):
             pair: dict[bool, list[float]] = {}
             for is_signed in (False, True) if turn % 2 == 0 else (True, False):
-                command = ("-m", "gateway", "gateway", "--config", str(keys.configuration)) if is_signed else ()
-                road = on_the_road(*command, driver_at=keys.driver if is_signed else Driver)
+                command = ("-m", "gateway", "gateway", "--config", site.robot_settings) if is_signed else ()
+                road = on_the_road(*command, driver_at=signed_driver if is_signed else Driver)
                 # What a robot knows of the authority has to be kept somewhere.
                 own = patch.dict(os.environ, CRUISER_GATEWAY_STATE_DIR=mkdtemp(dir=directory))
                 with own, road as (driver, witness, *_):

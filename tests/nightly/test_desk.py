@@ -8,19 +8,13 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from schemas.settings import CommandSettings
-from tests.support.processes.desk import DeskScene, chromium, desk_scene, drive, open_robot
+from tests.support.processes.desk import DeskScene, desk_scene, drive, open_robot
 from tests.support.processes.letting_go import WAYS
 from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 TIMES = 20
 COMMAND = CommandSettings()
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

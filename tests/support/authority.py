@@ -120,9 +120,6 @@ class AuthorityBench:
         self,
         fleet: Fleet | None = None,
         kept: Kept | None = None,
-        *,
-        boot_ns: int = 0,
-        wall_s: int = NOW_S,
         **settings: Any,  # noqa: ANN401
     ) -> None:
         self.fleet = fleet or Fleet()
@@ -132,11 +129,11 @@ class AuthorityBench:
         given = Settings(authority=AuthoritySettings(mode="signed", **settings))
         admission = SignedAdmission(given, self.fleet.trust, self.signer, self._age)
         kept = kept or Kept()
-        floor = TimeFloor(kept.floor_s, boot_ns)
+        floor = TimeFloor(kept.floor_s, 0)
         own = self.robot.chain
         self.authority = RobotAuthority(given, admission, self.signer, floor, own, kept)
-        self.now_ns = boot_ns
-        self.wall_s = wall_s
+        self.now_ns = 0
+        self.wall_s = NOW_S
         self._bars: dict[Reason, str] = {}
         self.begun = self.tick()
 

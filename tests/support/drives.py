@@ -14,7 +14,6 @@ from tests.support.logs import Log
 from tests.support.messages import (
     MS,
     PERIOD_NS,
-    ROOT,
     SECOND,
     WALL_NS,
     FakeSample,
@@ -35,17 +34,17 @@ STEP_NS = 10 * MS  # between the messages of ``drive``
 FRAMES = 5
 
 
-def drive_log(robot: str = "cruiser-1", first: int = 0, count: int = 20, late_ns: int = 0) -> bytes:
+def drive_log(robot: str = "cruiser-1", first: int = 0, count: int = 20) -> bytes:
     """A whole log: gears 10 ms apart, raw frames, an event, an unknown key, and the gateway's info."""
     log = Log(LogPlan(name=robot, chunk_bytes=262_144, flush_ns=SECOND // 2, version="0.1.0"))
     for number in range(first, first + count):
         time_ns = WALL_NS + number * 10 * MS
-        log.receive(sample_of(gear(number, time_ns), robot), wall_ns=time_ns + late_ns, now_ns=number * 10 * MS)
+        log.receive(sample_of(gear(number, time_ns), robot), wall_ns=time_ns, now_ns=number * 10 * MS)
         log.tick(number * 10 * MS)
-    log.receive(sample_of(frames(first), robot), wall_ns=WALL_NS + first * 10 * MS + late_ns)
-    log.receive(sample_of(safety_event(EventKind.LATCH, sequence=first), robot), wall_ns=WALL_NS + late_ns)
-    log.receive(FakeSample(f"fleet/{robot}/strange", "text/plain", b"hello"), wall_ns=WALL_NS + late_ns)
-    log.receive(sample_of(info(), robot), wall_ns=WALL_NS + late_ns)
+    log.receive(sample_of(frames(first), robot), wall_ns=WALL_NS + first * 10 * MS)
+    log.receive(sample_of(safety_event(EventKind.LATCH, sequence=first), robot), wall_ns=WALL_NS)
+    log.receive(FakeSample(f"fleet/{robot}/strange", "text/plain", b"hello"), wall_ns=WALL_NS)
+    log.receive(sample_of(info(), robot), wall_ns=WALL_NS)
     return log.close()
 
 
@@ -55,15 +54,15 @@ def frames(sequence: int) -> CanFrames:
     return batch(sequence, [(start_ns + number * 1_000_001, feedback(number)) for number in range(FRAMES)])
 
 
-def drive_samples(count: int = 20, root: str = "fleet", robot: str = "cruiser-1") -> list[ReceivedSample]:
+def drive_samples(count: int = 20, root: str = "fleet") -> list[ReceivedSample]:
     """Samples of a robot: gears with two frames each, its info; and a foreign one."""
-    found: list[ReceivedSample] = [sample_of(info(), robot, root)]
+    found: list[ReceivedSample] = [sample_of(info(), root=root)]
     for number in range(count):
         time_ns = WALL_NS + number * STEP_NS
         frames = [(time_ns - 3 * MS, feedback(2 * number)), (time_ns - MS, feedback(2 * number + 1))]
         found += [
-            sample_of(gear(number, time_ns), robot, root),
-            sample_of(batch(number, frames), robot, root),
+            sample_of(gear(number, time_ns), root=root),
+            sample_of(batch(number, frames), root=root),
         ]
     return [*found, FakeSample(f"{root}/elsewhere", "text/plain", b"hello", attachment=b"with this")]
 
@@ -100,16 +99,14 @@ def restart(periods: int = 200, silent: int = 60) -> list[Message]:
     return found
 
 
-def write_messages(
-    path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",), root: str = ROOT
-) -> Path:
+def write_messages(path: Path, messages: Iterable[Message], robots: Iterable[str] = ("cruiser-1",)) -> Path:
     """A log in which each robot publishes all these messages, received when they were sent."""
     log = Log()
     for robot in robots:
-        log.receive(sample_of(info(), robot, root))
+        log.receive(sample_of(info(), robot))
     for message in messages:
         for robot in robots:
-            log.receive(sample_of(message, robot, root), wall_ns=message.time_ns)
+            log.receive(sample_of(message, robot), wall_ns=message.time_ns)
     path.write_bytes(log.close())
     return path
 

@@ -158,7 +158,6 @@ def mcap_log(
     metadata: Iterable[tuple[str, dict[str, str]]] = (),
     attachments: Iterable[tuple[str, bytes]] = (),
     *,
-    is_finished: bool = True,
     disk: Disk | None = None,
 ) -> bytes:
     """A log of chunks of messages: channel, sequence, log time, publish time, data."""
@@ -173,8 +172,7 @@ def mcap_log(
     for messages in chunks:
         if made := list(messages):
             file.write_chunk(sealed(made))
-    if is_finished:
-        file.finish()
+    file.finish()
     return disk.getvalue()
 
 

@@ -177,10 +177,10 @@ def key_of(kind: type[Message], robot: str = ROBOT, root: str = ROOT) -> str:
     return keys.build(root, robot, subject, "can0" if "{bus}" in subject.name else "")
 
 
-def logged_topics(key: str = "fleet/cruiser-1", bus: str = "can0") -> dict[str, type]:
+def logged_topics(key: str = "fleet/cruiser-1") -> dict[str, type]:
     """The class of each topic's messages."""
     return {
-        f"{key}/{name.format(bus=bus)}": CanFrame if subject.type is CanFrames else subject.type
+        f"{key}/{name.format(bus='can0')}": CanFrame if subject.type is CanFrames else subject.type
         for name, subject in BY_NAME.items()
     }
 
@@ -333,7 +333,7 @@ def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field
     return msgspec.structs.replace(known, **fields)
 
 
-def health(number: int, lost: int, losses: int = 0, faults: dict[str, int] | None = None) -> GatewayHealth:
+def health(number: int, lost: int, faults: dict[str, int] | None = None) -> GatewayHealth:
     """The gateway's health at that time: frames and buses lost and other faults since its start."""
     frame = msgspec.structs.replace(HEALTH.feedback[0], valid=1000, lost=lost)
     return msgspec.structs.replace(
@@ -341,7 +341,6 @@ def health(number: int, lost: int, losses: int = 0, faults: dict[str, int] | Non
         time_ns=WALL_NS + number * PERIOD_NS,
         sequence=number,
         uptime_s=1.0,
-        bus_losses=losses,
         frames=1000,
         faults=faults or {},
         feedback=[frame],

@@ -101,14 +101,15 @@ class SignedRun:
             )
         )
 
-    def decide(self, request: str, operator: str, verdict: Verdict = Verdict.ACCEPTED) -> None:
+    def decide(self, request: str, operator: str) -> None:
         self.publish(
             Decision, tick=self._tick, request=request, operator=operator, lease=LEASE, request_sequence=None,
-            age_ms=None, verdict=verdict, reason=Reason.NONE, detail="", bound_by=[], requested_speed_mps=None,
-            requested_angle_deg=None, output_speed_mps=0.25, output_angle_deg=-0.0, frames_sent=4,
+            age_ms=None, verdict=Verdict.ACCEPTED, reason=Reason.NONE, detail="", bound_by=[],
+            requested_speed_mps=None, requested_angle_deg=None, output_speed_mps=0.25, output_angle_deg=-0.0,
+            frames_sent=4,
         )  # fmt: skip
 
-    def seconds(self, count: int, *, quiet: bool = False) -> None:
+    def seconds(self, count: int) -> None:
         """Let time pass: journals, decisions and an event."""
         for _ in range(count):
             for _ in range(PER_SECOND):
@@ -121,12 +122,11 @@ class SignedRun:
                     Journal, run=self._run, first=self._inputs, count=len(inputs), inputs=encoded, rules=2
                 )
                 self._inputs += len(inputs)
-            if not quiet:
-                self.decide("drive", "ann")
-                self.publish(
-                    SafetyEvent, tick=self._tick, severity=Severity.INFO, kind=EventKind.LEASE, reason=Reason.NONE,
-                    operator="ann", text="as it were",
-                )  # fmt: skip
+            self.decide("drive", "ann")
+            self.publish(
+                SafetyEvent, tick=self._tick, severity=Severity.INFO, kind=EventKind.LEASE, reason=Reason.NONE,
+                operator="ann", text="as it were",
+            )  # fmt: skip
 
 
 def credentials_of(party: Party, **changes: Any) -> Credentials:  # noqa: ANN401 - fields

@@ -10,10 +10,8 @@ import os
 import pty
 import re
 import select
-import shlex
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +20,7 @@ from typing import Final
 import pytest
 
 from tests.support.fakes.peer import free_endpoint
+from tests.support.processes.installed import install
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
@@ -195,11 +194,7 @@ class Page:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    programs = tmp_path / "bin"
-    programs.mkdir()
-    cruiser = programs / "cruiser"
-    cruiser.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m gateway "$@"\n', encoding="utf-8")
-    cruiser.chmod(0o755)
+    install(tmp_path / "bin")
     one = Page(tmp_path)
     try:
         yield one

@@ -1,10 +1,8 @@
 """``docs/examples/fleet.sh``: a fleet with keys, as ``make demo-fleet`` starts it."""
 
 import os
-import shlex
 import signal
 import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -13,6 +11,7 @@ import pytest
 
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import run
+from tests.support.processes.installed import install
 from tests.support.waiting import wait_until
 
 SCRIPT: Final = Path(__file__).parents[2] / "docs" / "examples" / "fleet.sh"
@@ -40,12 +39,8 @@ SEEN: Final = (
 @pytest.fixture
 def surroundings(tmp_path: Path) -> dict[str, str]:
     """The command on the path, a free port, and settings of another robot."""
-    cruiser = tmp_path / "bin" / "cruiser"
-    cruiser.parent.mkdir()
-    cruiser.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m gateway "$@"\n', encoding="utf-8")
-    cruiser.chmod(0o755)
     return os.environ | {
-        "PATH": f"{cruiser.parent}:/usr/bin:/bin",
+        "PATH": f"{install(tmp_path / 'bin')}:/usr/bin:/bin",
         "HOME": str(tmp_path),
         "PORT": free_endpoint().rpartition(":")[2],
         "PYTHONPATH": str(SCRIPT.parents[2]),

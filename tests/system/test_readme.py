@@ -24,6 +24,7 @@ import pytest
 
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
+from tests.support.processes.installed import install
 from tests.support.processes.nobody import NOBODY, become_nobody
 from tests.support.waiting import wait_until
 
@@ -307,14 +308,11 @@ def newcomer() -> Iterator[Newcomer]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         place.chmod(0o755)
-        home, programs = place / "home", place / "bin"
+        home = place / "home"
         home.mkdir()
-        programs.mkdir()
+        install(place / "bin")
         if os.getuid() == 0:
             os.chown(home, NOBODY, NOBODY)
-        cruiser = programs / "cruiser"
-        cruiser.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m gateway "$@"\n', encoding="utf-8")
-        cruiser.chmod(0o755)
         one = Newcomer(home)
         try:
             yield one

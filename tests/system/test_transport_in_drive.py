@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,7 +15,6 @@ import msgspec
 import pytest
 
 from gateway.authority.enrolment import TransportRole
-from gateway.can.open_bus import open_bus
 from gateway.chassis.frame import EXTENDED
 from gateway.client import remote_stop
 from gateway.client.refusal import LeaseLost, Stopped, Unreachable
@@ -24,10 +22,11 @@ from gateway.client.robot import Robot
 from gateway.provisioning.key_files import LEAF_DAYS
 from schemas.command_line import CommandError
 from schemas.reasons import TEXTS, Reason
-from schemas.settings import AuthoritySettings, CanSettings, ZenohSettings
+from schemas.settings import AuthoritySettings, ZenohSettings
 from tests.support import bus_rules
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running, chassis
+from tests.support.processes.guard import Listener, listening
 from tests.support.provisioned import write_authority
 from tests.support.routers import router_process
 from tests.support.secured import Network
@@ -61,27 +60,12 @@ print("done", flush=True)
 """
 
 
-class Witness:
-    """Another client of the bus; ``speeds`` are those of each drive frame, signed, in ``BIT_MPS``."""
-
-    def __init__(self, address: str) -> None:
-        self.speeds: list[int] = []
-        self._bus = open_bus(CanSettings(interface="socketcand", channel=address))
-        self._ends = threading.Event()
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ends.set()
-        self._thread.join()
-        self._bus.close()
-
-    def _listen(self) -> None:
-        while not self._ends.is_set():
-            frame = self._bus.receive(0.05)
-            if frame is not None and frame.can_id == bus_rules.DRIVE | EXTENDED:
-                raw = bus_rules.value(bus_rules.DRIVE, "v", frame.data)
-                self.speeds.append(raw - 2**16 if raw >= 2**15 else raw)
+def speeds_on(listener: Listener) -> list[int]:
+    """The commanded speeds so far, signed, in ``BIT_MPS``."""
+    frames = [one for burst in list(listener.bursts) for one in list(burst.frames)]
+    drives = [one.data for one in frames if one.can_id == bus_rules.DRIVE | EXTENDED]
+    raws = [bus_rules.value(bus_rules.DRIVE, "v", data) for data in drives]
+    return [raw - 2**16 if raw >= 2**15 else raw for raw in raws]
 
 
 class SecuredSite(Site):
@@ -103,7 +87,7 @@ class SecuredSite(Site):
 
 
 @contextmanager
-def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
+def running(site: SecuredSite) -> Iterator[tuple[Running, Listener]]:
     """Router, chassis, gateway, and a witness on the bus."""
     with ExitStack() as stack:
         stack.enter_context(router_process(site.router_file))
@@ -111,9 +95,7 @@ def running(site: SecuredSite) -> Iterator[tuple[Running, Witness]]:
         bus = ("--interface", "socketcand", "--channel", address)
         gateway = stack.enter_context(Running("gateway", *bus, "--config", site.robot_settings))
         gateway.wait_says("^gateway: ")
-        witness = Witness(address)
-        stack.callback(witness.close)
-        yield gateway, witness
+        yield gateway, stack.enter_context(listening(address))
 
 
 @pytest.fixture
@@ -146,7 +128,7 @@ def test_a_certificate_that_ends_in_mid_drive_ends_the_drive_in_a_controlled_sto
             assert is_early or TEXTS[Reason.DEADMAN].means in why
             gateway.wait_says("stopped: at standstill, no commands sent|the guard's stop has ended: .* stands")
         wait_until(lambda: time.time() > ends_s + 1)
-        told = list(witness.speeds)
+        told = speeds_on(witness)
         assert_lawful(told)
         assert max(told) * BIT_MPS > LIMIT_MPS / 2
         ramp = told[len(told) - told[::-1].index(max(told)) :]
@@ -168,7 +150,7 @@ def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSit
 
         def is_over() -> bool:
             """Flood once it drives; over when it drives again after the flood."""
-            is_fast = max(witness.speeds[before[0] :], default=0) * BIT_MPS > LIMIT_MPS * 0.9
+            is_fast = max(speeds_on(witness)[before[0] :], default=0) * BIT_MPS > LIMIT_MPS * 0.9
             if is_fast and not flooders:
                 command = [sys.executable, "-c", FLOODER, host, port, str(HANDSHAKES)]
                 for _ in range(FLOODERS):
@@ -176,13 +158,13 @@ def test_a_flood_of_handshakes_moves_no_robot_and_ends_no_fleet(site: SecuredSit
                     stack.callback(flooder.kill)
                     flooders.append(stack.enter_context(flooder))
             if not flooders or any(one.poll() is None for one in flooders):
-                before[0] = len(witness.speeds) if flooders else 0
+                before[0] = len(speeds_on(witness)) if flooders else 0
                 return False
             return is_fast
 
         drive_until(site, is_over)
         assert [flooder.communicate()[0] for flooder in flooders] == ["done\n"] * FLOODERS
-        assert_lawful(witness.speeds)
+        assert_lawful(speeds_on(witness))
 
 
 def test_a_viewers_stop_is_seen_to_be_carried_out(site: SecuredSite) -> None:

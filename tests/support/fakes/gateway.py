@@ -52,9 +52,6 @@ class FakeGateway:
         key = keys.build(ROOT, self.robot, subject)
         self._session.put(key, codec.encode(message), encoding=encoding or subject.encoding)
 
-    def say_raw(self, name: str, payload: bytes, encoding: str) -> None:
-        self._session.put(f"{ROOT}/{self.robot}/{name}", payload, encoding=encoding)
-
     def peers(self) -> list[Any]:
         return list(self._session.info.peers_zid())
 

@@ -13,8 +13,10 @@ from tests.support.fakes.peer import Peer
 from tests.support.messages import recorder_health
 
 
-def a_reply(detail: str = "recording", *, ok: bool = True, files: list[str] | None = None) -> bytes:
-    return msgspec.msgpack.encode(RecorderReply(ok=ok, detail=detail, files=files or [], health=recorder_health()))
+def a_reply(detail: str = "recording", *, files: list[str] | None = None) -> bytes:
+    return msgspec.msgpack.encode(
+        RecorderReply(ok=True, detail=detail, files=files or [], health=recorder_health())
+    )
 
 
 @contextmanager

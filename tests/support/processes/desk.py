@@ -163,11 +163,11 @@ def is_driven(page: Page) -> bool:
     return page.locator(".robot.driving").count() > 0
 
 
-def hold_pad(page: Page, forward: float = 0.8, left: float = 0.0) -> None:
+def hold_pad(page: Page, forward: float = 0.8) -> None:
     """Press the pointer on the pad and hold it."""
     box = page.locator(".pad").bounding_box()
     assert box is not None
-    page.mouse.move(box["x"] + box["width"] * (1 - left) / 2, box["y"] + box["height"] * (1 - forward) / 2)
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] * (1 - forward) / 2)
     page.mouse.down()
 
 

@@ -162,8 +162,8 @@ class Told:
     def gaps(self) -> list[RecordGap]:
         return [one for _, one in self._take() if isinstance(one, RecordGap)]
 
-    def wait_for_health(self, recorder: str = "bench") -> RecorderHealth:
+    def wait_for_health(self) -> RecorderHealth:
         """The next health that arrives."""
-        count = len(self.healths(recorder))
-        wait_until(lambda: len(self.healths(recorder)) > count)
-        return self.healths(recorder)[-1]
+        count = len(self.healths())
+        wait_until(lambda: len(self.healths()) > count)
+        return self.healths()[-1]

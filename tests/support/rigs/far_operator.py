@@ -140,9 +140,9 @@ class FarOperator:
             self._renew_ns = now_ns
 
 
-def trip(profile: LinkProfile, speed_mps: float, seconds: float, seed: int = 1) -> Trip:
+def trip(profile: LinkProfile, speed_mps: float, seconds: float) -> Trip:
     """Drive over a link for a time, then cut it."""
-    rig, link = GatewayRig(), LossyLink(profile, seed)
+    rig, link = GatewayRig(), LossyLink(profile, 1)
     operator = FarOperator(rig, link, speed_mps, profile.deadman_s)
     operator.run(10)
     begun, speeds_mps, good = len(rig.events), deque[float](), 0

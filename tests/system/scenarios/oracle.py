@@ -172,14 +172,13 @@ class Oracle:
         violations: the first of each kind.
         is_damaged: a damaged frame may be a cause to stop now.
         finds_variant: the gateway has to find the scale of the speeds, and forgets it with the bus.
-        worst_release_m, worst_stop_m: roll-back while zero was requested, and after a stop had begun.
         was_driven_m: metres travelled, to notice a suite in which nothing moves.
     """
 
     def __init__(self, limits: CommandSettings, *, fine: bool, is_undisturbed: bool, lag_s: float) -> None:
         self.violations: dict[str, Violation] = {}
         self.stops = 0
-        self.worst_release_m = self.worst_stop_m = self.was_driven_m = 0.0
+        self.was_driven_m = 0.0
         self._limits = limits
         self._fine = fine
         self._bit_mps = 0.001 if fine else 0.04
@@ -722,10 +721,6 @@ class Oracle:
                 return
             self._rest_m = x_m
         rolled_m = abs(x_m - self._rest_m)
-        if self._rest_is_stop:
-            self.worst_stop_m = max(self.worst_stop_m, rolled_m)
-        else:
-            self.worst_release_m = max(self.worst_release_m, rolled_m)
         is_stop = self._rest_is_stop or not plant.brake_holds
         # Slow pulses show that it creeps, when it has for a while: later than the motor may be given it back.
         self._rest_bound_m = max(self._rest_bound_m, rolled_m * (self._trust.is_lost or plant.creeps_slowly))

@@ -99,16 +99,13 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(msgspec.Struct, frozen=True):
-    """The outcome; ``slope_deg`` is the steepest, ``way_m`` the metres since the first act."""
+    """The outcome; ``way_m`` counts from the first act."""
 
     seed: int
     violations: list[Violation]
     stops: int
     driven_m: float
     simulated_s: float
-    slope_deg: float
-    worst_release_m: float
-    worst_stop_m: float
     way_m: float
     disturbances: list[str]
 
@@ -469,7 +466,6 @@ class Play:
     def run(self) -> Result:
         """Play it to its end."""
         rig, plan = self.rig, self.plan
-        steepest_deg = plan.slope_deg
         end_s = plan.limit_s
         while rig.now_s < end_s:
             self._turn_knobs()
@@ -479,8 +475,6 @@ class Play:
             if rig.operator.is_done:
                 end_s = min(end_s, rig.now_s + plan.rests_s)
                 rig.operator.is_done = False
-            if abs(self.plant.slope_deg) > abs(steepest_deg):
-                steepest_deg = self.plant.slope_deg
         oracle = self.oracle
         return Result(
             plan.seed,
@@ -488,9 +482,6 @@ class Play:
             oracle.stops,
             oracle.was_driven_m,
             rig.now_s,
-            steepest_deg,
-            oracle.worst_release_m,
-            oracle.worst_stop_m,
             0.0 if self.began_m is None else self.plant.travelled_m - self.began_m,
             plan.disturbances,
         )

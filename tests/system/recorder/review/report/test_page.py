@@ -1,7 +1,6 @@
 """The report as one HTML file, and what a real browser makes of it."""
 
 import re
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -13,7 +12,6 @@ from playwright.sync_api import Browser, BrowserContext, Page, Request
 from recorder.review.report.findings import Report
 from recorder.review.report.page import page
 from tests.support.drives import HOSTILE, write_messages
-from tests.support.processes.desk import chromium
 from tests.support.reading import report_of
 from tests.support.waiting import wait_until
 from tests.unit.recorder.review.report.test_page import Elements, hostile_drive
@@ -80,12 +78,6 @@ def open_page(context: BrowserContext, directory: Path, html: str) -> Opened:
     opened.page.goto(file.as_uri())
     opened.page.locator('[data-drawn="4"]').wait_for(state="attached")
     return opened
-
-
-@pytest.fixture(scope="module")
-def running_browser() -> Iterator[Browser]:
-    with chromium() as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

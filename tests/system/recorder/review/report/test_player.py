@@ -11,7 +11,6 @@ from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
 from tests.support.messages import SECOND, WALL_NS
 from tests.support.nights import by_night
-from tests.support.processes.desk import chromium
 from tests.support.rigs import scenarios
 from tests.support.rigs.scenarios import recorded
 from tests.support.waiting import wait_until
@@ -22,17 +21,10 @@ DEADLINE_MS = 120_000
 PHONE = {"width": 390, "height": 844}
 
 
-@pytest.fixture(scope="module")
-def chrome() -> Iterator[Browser]:
-    """The browser."""
-    with chromium() as running:
-        yield running
-
-
 @pytest.fixture
-def page(chrome: Browser) -> Iterator[Page]:
+def page(running_browser: Browser) -> Iterator[Page]:
     """A page without a network. One that complains in the console fails the test."""
-    context = chrome.new_context(offline=True)
+    context = running_browser.new_context(offline=True)
     context.set_default_timeout(DEADLINE_MS)
     found = context.new_page()
     said: list[str] = []
