@@ -36,7 +36,6 @@ Done = subprocess.CompletedProcess[str]
 
 
 def run(*words: str) -> Done:
-    """Run a client to its end."""
     return subprocess.run(
         words, cwd=EXAMPLES / "typescript", capture_output=True, text=True, timeout=60, check=False
     )
@@ -44,7 +43,7 @@ def run(*words: str) -> Done:
 
 @contextmanager
 def bridge(*words: str) -> Iterator[str]:
-    """Zenoh's bridge for WebSockets, with the words that lead it to Zenoh; where it listens."""
+    """Zenoh's bridge for WebSockets, started with these words; yields where it listens."""
     place = free_endpoint().removeprefix("tcp/")
     words = (os.environ["BRIDGE"], "--ws-port", place, *words)
     said: list[str] = []
@@ -62,7 +61,6 @@ def bridge(*words: str) -> Iterator[str]:
 
 
 def drive_open(client: str, endpoint: str) -> Done:
-    """Drive a robot that listens there."""
     if client == "rust":
         return run(os.environ["RUST_CLIENT"], endpoint, ROBOT)
     with bridge("--mode", "client", "--connect", endpoint) as place:
@@ -70,7 +68,6 @@ def drive_open(client: str, endpoint: str) -> Done:
 
 
 def drive_signed(client: str, directory: Path) -> Done:
-    """Drive a robot as the operator whose files are in a directory."""
     if client == "rust":
         return run(os.environ["RUST_CLIENT"], str(directory), ROBOT)
     with bridge("--config", str(directory / "operator.json5")) as place:
@@ -78,8 +75,6 @@ def drive_signed(client: str, directory: Path) -> Done:
 
 
 class SignedRobot:
-    """A robot in signed mode behind a router; ``fleet`` lets people in, ``gateway`` is its process."""
-
     def __init__(self, fleet: ProvisionedFleet, gateway: Running) -> None:
         self.fleet = fleet
         self.gateway = gateway
@@ -87,7 +82,6 @@ class SignedRobot:
 
 @pytest.fixture
 def signed(tmp_path: Path) -> Iterator[SignedRobot]:
-    """The robot, connected with its router."""
     endpoint = free_endpoint().replace("tcp/", "tls/")
     fleet = ProvisionedFleet(tmp_path / "fleet", endpoint)
     router, robot = fleet.let_in("router", "127.0.0.1"), fleet.let_in("robot", "cruiser-1")
@@ -100,7 +94,6 @@ def signed(tmp_path: Path) -> Iterator[SignedRobot]:
 
 
 def wait_until_ready(operator: Path) -> None:
-    """Wait until the robot that this operator sees could be engaged: chassis seen, guard there."""
 
     def is_ready() -> bool:
         words = ["watch", "cruiser-1", "--seconds", "0.5", "--json", "--config", str(operator / "operator.toml")]
@@ -112,7 +105,6 @@ def wait_until_ready(operator: Path) -> None:
 
 @CLIENTS
 def test_a_client_drives_a_robot_in_open_mode(client: str) -> None:
-    """Half a metre a second, and the lease is free afterwards."""
     with FakeRobot() as fake:
         done = drive_open(client, fake.listen)
         assert done.returncode == 0, done
@@ -123,7 +115,6 @@ def test_a_client_drives_a_robot_in_open_mode(client: str) -> None:
 
 @CLIENTS
 def test_a_client_drives_a_robot_in_signed_mode(client: str, signed: SignedRobot) -> None:
-    """Under the name of its grant: the robot obeys nobody whom it cannot check."""
     ann = signed.fleet.let_in("operator", "ann")
     wait_until_ready(ann)
     done = drive_signed(client, ann)
@@ -136,7 +127,6 @@ def test_a_client_drives_a_robot_in_signed_mode(client: str, signed: SignedRobot
 
 @CLIENTS
 def test_a_client_commands_no_robot_of_another_authority(client: str, signed: SignedRobot, tmp_path: Path) -> None:
-    """Whoever lets it connect: nothing that this robot says is believed, and nothing is asked of it."""
     ann = signed.fleet.let_in("operator", "ann")
     other = ProvisionedFleet(tmp_path / "other").let_in("operator", "ann")
     for name in ("authority.json", "operator.key", "operator.grant"):
@@ -151,7 +141,6 @@ def test_a_client_commands_no_robot_of_another_authority(client: str, signed: Si
 def test_a_client_whose_grant_was_made_by_another_gets_no_lease(
     client: str, signed: SignedRobot, tmp_path: Path
 ) -> None:
-    """A grant that this authority did not sign: the client says why, in the robot's words."""
     ann = signed.fleet.let_in("operator", "ann")
     other = ProvisionedFleet(tmp_path / "other").let_in("operator", "ann")
     for name in ("operator.key", "operator.grant"):
@@ -170,7 +159,6 @@ class Impostor:
     """
 
     def __init__(self, directory: Path, own: str) -> None:
-        """Connect with the files of a directory; ``own`` is the chain of the other's grant, which is no secret."""
         self._own = own
         config = zenoh.Config.from_file(str(directory / "robot.json5"))
         config.insert_json5("access_control", '{"enabled": false}')
@@ -193,11 +181,9 @@ class Impostor:
         self._session.close()
 
     def keep(self, sample: zenoh.Sample) -> None:
-        """Have a sample of the robot, to be sent again and again."""
         self._kept = sample
 
     def _reply(self, query: zenoh.Query) -> None:
-        """Say yes to a statement and no to a verb, and that it is an error."""
         key = str(query.key_expr)
         self.asked[key] = len(query.attachment or b"")
         said = {
@@ -212,7 +198,6 @@ class Impostor:
             query.reply_err(b"forged")
 
     def _speak(self) -> None:
-        """State that the robot is stopped, with a challenge that nobody knows."""
         forged = msgspec.msgpack.decode(self._kept.payload.to_bytes())
         forged |= {"engaged": False, "challenge": bytes(8), "sequence": forged["sequence"] + 1000}
         while not self._is_over.wait(0.02):
@@ -222,10 +207,7 @@ class Impostor:
 
 @CLIENTS
 def test_a_client_believes_no_impostor(client: str, signed: SignedRobot) -> None:
-    """It passes over states and replies that the robot did not sign, or signed before, and drives.
-
-    Each verb under its lease has the holder's tag too, by which no flood keeps it waiting (docs/authority.md).
-    """
+    """Verbs under the lease carry the holder's tag too, so that no flood delays them (docs/proof.md)."""
     ann, other = signed.fleet.let_in("operator", "ann"), signed.fleet.let_in("robot", "cruiser-2")
     wait_until_ready(ann)
     config = zenoh.Config.from_file(str(ann / "operator.json5"))
@@ -249,14 +231,12 @@ def test_a_client_believes_no_impostor(client: str, signed: SignedRobot) -> None
 
 
 def errors_of(session: zenoh.Session) -> set[str]:
-    """The errors with which a statement is replied to."""
     replies = session.get(f"{ROBOT}/@auth", target=zenoh.QueryTarget.ALL, timeout=1.0)
     return {reply.err.payload.to_string() for reply in replies if reply.err is not None}
 
 
 @CLIENTS
 def test_a_client_is_refused_what_its_grant_lacks(client: str, signed: SignedRobot) -> None:
-    """The verb that it may not ask is refused with a cure, and the robot stands."""
     done = drive_signed(client, signed.fleet.let_in("operator", "bea", "--verbs", "acquire,renew,release"))
     assert done.returncode == 1, done
     assert "Cure: get a grant that does" in done.stdout + done.stderr

@@ -11,7 +11,6 @@ EACH = pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name
 
 @EACH
 def test_what_is_right_passes(target: Target) -> None:
-    """Otherwise nothing but noise would be fuzzed."""
     for seed in target.seeds:
         target.run(seed)
 
@@ -20,7 +19,6 @@ def test_what_is_right_passes(target: Target) -> None:
 @settings(max_examples=40)
 @given(st.data())
 def test_what_is_changed_is_refused_and_raises_nothing(target: Target, data: st.DataObject) -> None:
-    """A few bytes replaced, added, left out or swapped."""
     seed = bytearray(data.draw(st.sampled_from(target.seeds)))
     for _ in range(data.draw(st.integers(1, 4))):
         place = data.draw(st.integers(0, len(seed)))
@@ -30,7 +28,6 @@ def test_what_is_changed_is_refused_and_raises_nothing(target: Target, data: st.
 
 
 def test_a_target_fails_where_its_rule_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A door that lets a drive with a forged tag in is found."""
     right = next(seed for seed in BY_NAME["requests"].seeds if seed.endswith(DRIVE))
     forged = right[: -len(DRIVE) - 1] + bytes([right[-len(DRIVE) - 1] ^ 1]) + DRIVE
     requests(forged)

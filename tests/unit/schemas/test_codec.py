@@ -19,19 +19,16 @@ PAIRS = subjects_and_messages() | commands_and_requests()
 
 
 def read(kind: Kind, payload: bytes) -> object:
-    """A payload, decoded as a message of a subject or as a request of a verb."""
     return decode(kind, payload) if isinstance(kind, Subject) else decode_request(kind, payload)
 
 
 def is_message_or_fault(kind: Kind, answer: object) -> bool:
-    """Whether the answer is of its class, or says what is wrong."""
     own = kind.type if isinstance(kind, Subject) else kind.request
     return isinstance(answer, own) or (isinstance(answer, PayloadFault) and bool(answer.detail))
 
 
 @given(pair=PAIRS)
 def test_what_is_encoded_decodes_to_the_same(pair: tuple[Kind, Message | Request]) -> None:
-    """Of every subject and of every verb; any MessagePack library reads a message's fields, in their order."""
     kind, message = pair
     assert read(kind, encode(message)) == message
     fields: dict[str, Any] = msgpack.unpackb(encode(message))
@@ -40,7 +37,6 @@ def test_what_is_encoded_decodes_to_the_same(pair: tuple[Kind, Message | Request
 
 @given(kind=KINDS, payload=st.binary(), value=ANYTHING)
 def test_nothing_makes_decoding_raise(kind: Kind, payload: bytes, value: object) -> None:
-    """Neither any bytes nor right MessagePack of the wrong shape, which is a fault."""
     assert is_message_or_fault(kind, read(kind, payload))
     is_whole_request = value == {} and not isinstance(kind, Subject)
     assert is_whole_request or isinstance(read(kind, msgpack.packb(value)), PayloadFault)
@@ -48,7 +44,6 @@ def test_nothing_makes_decoding_raise(kind: Kind, payload: bytes, value: object)
 
 @given(pair=PAIRS, data=st.data())
 def test_no_damage_makes_decoding_raise(pair: tuple[Kind, Message | Request], data: st.DataObject) -> None:
-    """A payload with a byte changed and its end cut off is a message or a fault."""
     kind, message = pair
     payload = bytearray(encode(message))
     payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
@@ -64,7 +59,6 @@ BOMBS = [b"\x91" * depth + b"\xc0" for depth in (100, 10_000, 1_000_000)]
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_neither_depth_nor_a_false_length_makes_decoding_a_request_raise(command: Command) -> None:
-    """However deep: as the request, in a field that is known, and in one that is not."""
     for payload in (
         *(head + b"\xff\xff\xff\xff" for head in LIES),
         *(head + bomb for bomb in BOMBS for head in (b"", b"\x81\xa5lease", b"\x81\xa1x")),
@@ -76,7 +70,6 @@ GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=G
 
 
 def gear_payload(**fields: object) -> bytes:
-    """The payload of a gear message with some fields other than they should be."""
     good: dict[str, object] = msgpack.unpackb(encode(GEAR))
     payload: bytes = msgpack.packb(good | fields)
     return payload
@@ -95,7 +88,6 @@ def gear_payload(**fields: object) -> bytes:
     ],
 )
 def test_a_value_out_of_bounds_is_a_fault_that_names_the_field(fields: dict[str, object]) -> None:
-    """Types, bounds and enumerations are checked, and the fault says where."""
     fault = decode(BY_TYPE[Gear], gear_payload(**fields))
     assert isinstance(fault, PayloadFault)
     assert next(iter(fields)) in fault.detail
@@ -106,7 +98,6 @@ DRIVE = REQUESTS["drive"]
 
 
 def judge(verb: str, fields: object) -> Request | PayloadFault:
-    """What a request of these fields is taken for."""
     return decode_request(BY_VERB[verb], msgpack.packb(fields))
 
 
@@ -119,14 +110,12 @@ def judge(verb: str, fields: object) -> Request | PayloadFault:
 )
 @pytest.mark.parametrize("number", [nan, inf, -inf])
 def test_a_number_that_is_none_is_a_fault_that_names_the_field(verb: str, field: str, number: float) -> None:
-    """No comparison with a limit holds for it, so it must not come as far as that."""
     assert judge(verb, REQUESTS[verb] | {field: number}) == PayloadFault(f"{field} is not a finite number")
 
 
 @pytest.mark.parametrize("field", ["lease", "seq"])
 @pytest.mark.parametrize("number", [-1, 2**53, 2**64 - 1, -(2**63), 1.5, 1e300, True, None, "1", [1]])
 def test_a_whole_number_has_bounds(field: str, number: object) -> None:
-    """A lease and a sequence are what every language holds exactly, and nothing else."""
     fault = judge("drive", DRIVE | {field: number})
     assert isinstance(fault, PayloadFault)
     assert field in fault.detail
@@ -145,7 +134,6 @@ def test_a_challenge_is_eight_bytes(verb: str, challenge: object) -> None:
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -> None:
-    """Who sent it meant something by it: a command is not obeyed in part."""
     fields = REQUESTS[command.verb]
     assert isinstance(judge(command.verb, fields), command.request)
     fault = judge(command.verb, fields | {"novelty": 1})
@@ -155,7 +143,6 @@ def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -
 
 @pytest.mark.parametrize("verb", ["acquire", "take", "stop"])
 def test_a_verb_that_needs_nothing_may_be_sent_with_nothing(verb: str) -> None:
-    """No payload at all means the start values; a verb that needs something says what."""
     assert decode_request(BY_VERB[verb], b"") == BY_VERB[verb].request()
     assert decode_request(BY_VERB["acquire"], b"") == Acquire(role=Role.OPERATOR)
     assert decode_request(BY_VERB["renew"], b"") == PayloadFault("Object missing required field `lease`")

@@ -27,21 +27,18 @@ from schemas.command_line import (
 
 @given(st.text())
 def test_whatever_comes_is_printable(text: str) -> None:
-    """It breaks neither line nor terminal; what can be printed stays as it is."""
     assert plain(text).isprintable()
     assert (plain(text) == text) == text.isprintable()
 
 
 @given(st.integers(0, 2 * LINE_LENGTH))
 def test_a_text_that_is_too_long_for_a_line_is_cut(length: int) -> None:
-    """And that can be seen."""
     text = "x" * length
     assert len(short(text)) <= LINE_LENGTH
     assert short(text) == text if length <= LINE_LENGTH else short(text).endswith("x...")
 
 
 def test_a_file_or_a_link_to_one_is_regular(tmp_path: Path) -> None:
-    """Nothing is said of it."""
     file, link = tmp_path / "file", tmp_path / "link"
     file.write_text("")
     link.symlink_to(file)
@@ -50,7 +47,6 @@ def test_a_file_or_a_link_to_one_is_regular(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_named_with_its_kind(tmp_path: Path) -> None:
-    """Directories, FIFOs, sockets and devices, in one printable line."""
     fifo, place = tmp_path / "fi\nfo", tmp_path / "socket"
     os.mkfifo(fifo)
     os.mknod(place, stat.S_IFSOCK | 0o600)
@@ -71,7 +67,6 @@ PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
 
 @pytest.mark.parametrize("extra", ["review", "live"])
 def test_with_pip_it_is_the_extra(monkeypatch: pytest.MonkeyPatch, extra: str) -> None:
-    """Which there is."""
     monkeypatch.setitem(sys.modules, "pip", sys)
     said = str(missing_extra("duckdb", extra))
     assert (
@@ -82,7 +77,7 @@ def test_with_pip_it_is_the_extra(monkeypatch: pytest.MonkeyPatch, extra: str) -
 
 
 def test_without_pip_it_is_another_installation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in the Debian package, which would have nobody follow a cure that it has not."""
+    """Such as the Debian package."""
     monkeypatch.setitem(sys.modules, "pip", None)
     said = str(missing_extra("duckdb", "review"))
     assert "pip install" not in said
@@ -95,19 +90,16 @@ def test_without_pip_it_is_another_installation(monkeypatch: pytest.MonkeyPatch)
 
 @given(value=st.floats(min_value=1e-9, max_value=1e9))
 def test_a_number_above_0_is_a_duration(value: float) -> None:
-    """Any number of seconds above 0 is taken as it is."""
     assert seconds(repr(value)) == value
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "nan", "inf", "1e999", "soon"])
 def test_anything_else_is_not(text: str) -> None:
-    """Zero, less than zero, infinity and words are refused."""
     with pytest.raises(argparse.ArgumentTypeError, match="seconds above 0"):
         seconds(text)
 
 
 def test_an_end_comes_with_the_signal_or_with_the_time() -> None:
-    """Whichever is first; without a duration only the signal counts."""
     now_s, signalled = [100.0], [False]
     ends = ending_after(lambda: signalled[0], 5.0, lambda: now_s[0])
     for_ever = ending_after(lambda: signalled[0], None, lambda: now_s[0])

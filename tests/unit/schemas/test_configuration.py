@@ -42,7 +42,6 @@ def merged(
 
 
 def problem(text: str = "", environ: dict[str, str] | None = None, flags: dict[str, object] | None = None) -> str:
-    """The one line that a wrong configuration gives."""
     with pytest.raises(CommandError) as caught:
         merged(text, environ, flags)
     assert caught.value.code is ExitCode.USAGE
@@ -52,14 +51,12 @@ def problem(text: str = "", environ: dict[str, str] | None = None, flags: dict[s
 
 
 def test_a_flag_wins_over_the_environment_and_that_over_the_file() -> None:
-    """The sources rise: file, environment, flags; each leaves alone what it does not name."""
     text = '[can]\nchannel = "file"\nbus = "file"\ninterface = "file"\n'
     settings = merged(text, {"CRUISER_CAN_BUS": "env", "CRUISER_CAN_INTERFACE": "env"}, {"can.interface": "flag"})
     assert settings.can == CanSettings(interface="flag", channel="file", bus="env")
 
 
 def test_which_zenoh_settings_a_source_gave_is_known() -> None:
-    """Whatever the source and the value: a start value that is given counts as given."""
     assert merged().zenoh.given == frozenset()
     settings = merged("[zenoh]\nmode = 'peer'\n", {"CRUISER_ZENOH_LEASE_MS": "1000"}, {"zenoh.listen": []})
     assert settings.zenoh.given == {"mode", "lease_ms", "listen"}
@@ -93,7 +90,6 @@ def _complaint(text: str, environ: dict[str, str]) -> str:
     ],
 )
 def test_a_variable_is_read_in_the_type_of_its_setting(variable: str, text: str, key: str, value: object) -> None:
-    """The environment has texts only; each is read in the setting's type, and a flag's text likewise."""
     for settings in (merged(environ={variable: text}), merged(flags={key: text})):
         section, name = key.split(".")
         assert getattr(getattr(settings, section), name) == value
@@ -134,7 +130,6 @@ def test_a_variable_is_read_in_the_type_of_its_setting(variable: str, text: str,
     ],
 )
 def test_a_wrong_file_names_the_line_the_key_and_the_cure(text: str, parts: tuple[str, ...]) -> None:
-    """What is wrong in a file is one line: file and line, key, and the nearest right key or the bounds."""
     message = problem(text)
     for part in parts:
         assert part in message
@@ -153,14 +148,12 @@ def test_a_wrong_file_names_the_line_the_key_and_the_cure(text: str, parts: tupl
     ],
 )
 def test_a_wrong_variable_is_named_with_its_cure(environ: dict[str, str], parts: tuple[str, ...]) -> None:
-    """A variable with our prefix that is no setting, or holds a wrong value, is an error that names it."""
     message = problem(environ=environ)
     for part in ("environment", *parts):
         assert part in message
 
 
 def test_a_stop_at_once_may_not_be_the_gentler_one() -> None:
-    """Each is within its bounds; together they are wrong."""
     flags = {"command.deceleration_mps2": 1.5, "command.emergency_deceleration_mps2": 1.4}
     with pytest.raises(CommandError, match=r"emergency_deceleration_mps2 is 1\.4, .*deceleration_mps2 1\.5"):
         merge(None, {}, flags)
@@ -180,7 +173,6 @@ def test_feedback_that_is_needed_cannot_be_left_out(name: str) -> None:
 
 
 def test_a_wrong_value_is_an_error_even_where_a_later_source_overrides_it() -> None:
-    """A file that is wrong stays wrong, so that it does not surprise on the day the flag is left out."""
     assert "robot.toml:2" in problem("[can]\nbitrate = -1\n", flags={"can.bitrate": 5})
 
 
@@ -188,7 +180,6 @@ def test_a_wrong_value_is_an_error_even_where_a_later_source_overrides_it() -> N
 @example("[can]\nbus = '\x1b[31m'\n")
 @example('"\\u001b[31m" = 1\n')
 def test_no_file_does_more_than_fail_with_one_line(text: str) -> None:
-    """Any text is either a configuration or one printable line."""
     message = _complaint(text, {})
     assert message.isprintable()
     assert message.startswith(("robot.toml", "right"))
@@ -200,7 +191,6 @@ def test_no_file_does_more_than_fail_with_one_line(text: str) -> None:
     text=st.text(st.characters()),
 )
 def test_no_environment_does_more_than_fail_with_one_line(variable: str, text: str) -> None:
-    """Any environment is either a configuration or one printable line that names the variable."""
     message = _complaint("", {variable: text})
     assert message.isprintable()
     assert variable in message or message == "right"
@@ -216,7 +206,6 @@ def test_no_environment_does_more_than_fail_with_one_line(variable: str, text: s
 def test_settings_as_toml_read_back_equal(
     root: str, channel: str, flush_s: float, connect: list[str], options: dict[str, str | int | float | bool]
 ) -> None:
-    """The settings in force, written as TOML, are the same settings again."""
     settings = Settings(
         robot=RobotSettings(root=root),
         can=CanSettings(channel=channel, options=options),
@@ -227,11 +216,7 @@ def test_settings_as_toml_read_back_equal(
 
 
 def test_written_settings_name_every_setting() -> None:
-    """A person who looks at a robot's settings sees all of them, also those at their start value.
-
-    Those of the desk are no robot's: an earlier review of a robot's log would not know their table. Those of the
-    upload may have secrets, and everybody reads a robot's settings.
-    """
+    """Not the desk's, which earlier reviews do not know, nor the upload's, which may contain secrets."""
     document = tomllib.loads(to_toml(Settings()))
     keys = [f"{section}.{name}" for section, table in document.items() for name in table]
     assert keys == [key for key in SETTINGS if not key.startswith(("desk.", "upload."))]
@@ -241,7 +226,6 @@ def test_written_settings_name_every_setting() -> None:
 def test_a_setting_that_is_gone_grounds_no_robot_and_hides_no_log(
     key: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In a file a warning with the line; in a log nothing."""
     table, name = key.split(".")
     text = f"[{table}]\n{name} = 30.0\n" + "[command]\n" * (table != "command") + "speed_limit_mps = 0.5\n"
     assert merge(TomlSource("log", text, is_recorded=True), {}, {}).command.speed_limit_mps == 0.5
@@ -253,7 +237,7 @@ def test_a_setting_that_is_gone_grounds_no_robot_and_hides_no_log(
 
 @pytest.mark.parametrize("text", ["a" + ".b" * 30_000 + " = 1", "# " + "x" * 70_000])
 def test_a_configuration_out_of_a_log_is_no_longer_than_any_of_ours(text: str) -> None:
-    """Whoever made the log could else have a gigabyte used for one key in very many parts."""
+    """A key with very many parts could take a gigabyte."""
     with pytest.raises(CommandError, match="no settings are that long"):
         merge(TomlSource("log", text, is_recorded=True), {}, {})
 
@@ -266,14 +250,13 @@ NEEDED = {"safety/state", "safety/event", "state", "gateway/health", "authority/
 
 
 def test_events_are_never_reduced_nor_what_an_operator_drives_by() -> None:
-    """The state of the arbiter, which holds the challenge to echo, comes as often as a drive command is sent."""
     assert all("safety/event" not in rates for rates in PROFILES.values())
     assert PROFILES[OPERATOR]["safety/state"] >= 20
     assert "safety/decision" not in PROFILES[OPERATOR]
 
 
 def test_no_two_rules_fit_one_key() -> None:
-    """Zenoh uses any one of those that fit."""
+    """Zenoh uses any one of the rules that fit."""
     for item in zenoh_rules(["*=thin", "wwan0=operator"], "fleet", "r-1")[DOWNSAMPLING]:
         keys = [rule["key_expr"] for rule in item["rules"]]
         assert len(set(keys)) == len(keys)
@@ -282,7 +265,6 @@ def test_no_two_rules_fit_one_key() -> None:
 
 
 def test_rules_are_those_of_the_interface_at_the_robots_end_of_what_leaves() -> None:
-    """Without a profile there are none, and nothing else of a session changes."""
     assert zenoh_rules([], "fleet", "r-1") == {}
     assert zenoh_rules(["wwan0=full"], "fleet", "r-1") == {}
     rules = zenoh_rules(["wwan0=operator", "*=thin"], "fleet", "r-1")[DOWNSAMPLING]
@@ -298,6 +280,5 @@ def test_rules_are_those_of_the_interface_at_the_robots_end_of_what_leaves() -> 
     "wrong", ["thin", "wwan0", "wwan0=thick", "=thin", "a=b=thin", "much-too-long-a-name=thin"]
 )
 def test_what_is_no_profile_of_an_interface_is_an_error(wrong: str) -> None:
-    """At the start, in one line."""
     with pytest.raises(CommandError, match=r"zenoh\.profiles"):
         merge(TomlSource("", f'[zenoh]\nprofiles = ["{wrong}"]\n'), {}, {})

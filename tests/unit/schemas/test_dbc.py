@@ -18,7 +18,6 @@ def text_of(file: str) -> str:
 
 
 def load(file: str) -> Database:
-    """A DBC, read by cantools with every check that it has."""
     database = cantools.database.load_string(text_of(file), database_format="dbc", strict=True)
     assert isinstance(database, Database)
     return database
@@ -30,7 +29,6 @@ FRAME_IDS = [f"{file}-{message.name}" for file, message in FRAMES]
 
 @pytest.mark.parametrize("file", FILES)
 def test_every_signal_line_is_of_the_one_form_that_all_readers_know(file: str) -> None:
-    """Intel byte order, numbers without exponents, a range, a unit in quotes, a declared node as receiver."""
     text = text_of(file)
     nodes = re.findall(r"^BU_: (.*)$", text, re.MULTILINE)[0].split()
     number = r"-?\d+(\.\d+)?"
@@ -47,7 +45,6 @@ def test_every_signal_line_is_of_the_one_form_that_all_readers_know(file: str) -
 
 @pytest.mark.parametrize(("file", "frame"), FRAMES, ids=FRAME_IDS)
 def test_no_two_signals_share_a_bit(file: str, frame: Message) -> None:
-    """Signals lie one after the other in the 64 bits, and a start value and every named value fit into theirs."""
     del file
     spans = sorted((signal.start, signal.start + signal.length) for signal in frame.signals)
     assert all(end <= start for (_, end), (start, _) in pairwise(spans))
@@ -58,7 +55,6 @@ def test_no_two_signals_share_a_bit(file: str, frame: Message) -> None:
 
 
 def test_the_variants_differ_in_scales_alone() -> None:
-    """Both files have the same frames, signals, value tables and cycle times; only speeds are scaled otherwise."""
     coarse, fine = (
         {
             (frame.name, signal.name): (

@@ -20,20 +20,17 @@ VALIDATORS = {name: jsonschema.Draft202012Validator(json_schema.schema(name)) fo
 
 @st.composite
 def names_and_contents(draw: st.DrawFn) -> tuple[str, msgspec.Struct]:
-    """Any schema and anything of its class."""
     name = draw(st.sampled_from(list(KINDS)))
     content: msgspec.Struct = draw(any_of(KINDS[name]))
     return name, content
 
 
 def test_the_files_are_current(capsys: pytest.CaptureFixture[str]) -> None:
-    """schemas/json/ is what the message classes say; 'make generate' makes it so."""
     assert json_schema.main(["--check"]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_every_schema_is_a_right_json_schema(name: str) -> None:
-    """Each schema is valid under its own dialect, and names itself by its file."""
     schema = json.loads(json_schema.schema_text(name))
     jsonschema.Draft202012Validator.check_schema(schema)
     assert schema["$schema"] == json_schema.DIALECT
@@ -43,7 +40,6 @@ def test_every_schema_is_a_right_json_schema(name: str) -> None:
 
 @given(pair=names_and_contents())
 def test_every_payload_is_valid_under_its_schema(pair: tuple[str, msgspec.Struct]) -> None:
-    """As any MessagePack library reads it, and turned into JSON, with bytes as base64 text."""
     name, content = pair
     for read in (msgpack.unpackb(encode(content)), json.loads(msgspec.json.encode(content))):
         VALIDATORS[name].validate(read)
@@ -53,7 +49,6 @@ def test_every_payload_is_valid_under_its_schema(pair: tuple[str, msgspec.Struct
 def test_a_payload_without_one_of_its_fields_is_not_valid(
     pair: tuple[str, msgspec.Struct], data: st.DataObject
 ) -> None:
-    """Every field of what the gateway sends is required; a request may leave out what has a start value."""
     name, content = pair
     fields: dict[str, Any] = msgpack.unpackb(encode(content))
     if not fields:
@@ -74,7 +69,6 @@ START_VALUES = {
 def test_a_request_that_is_understood_is_valid_under_its_schema(
     pair: tuple[Command, Request], data: st.DataObject
 ) -> None:
-    """Whatever stands in one of its fields, or in one more: what the schema refuses, the gateway refuses."""
     command, request = pair
     fields: dict[str, Any] = msgpack.unpackb(encode(request))
     name = data.draw(st.sampled_from([*fields, "novelty"]))

@@ -24,7 +24,6 @@ VERBS = st.sampled_from(list(BY_VERB))
 @example(root="fleet", robot="cruiser-1", subject=BY_NAME["safety/state"], bus="can0")
 @example(root="can/rx", robot="state", subject=BY_NAME["can/{bus}/rx"], bus="state")
 def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: str) -> None:
-    """A key that was built says what it was built from, whatever the names are."""
     own_bus = bus if "{bus}" in subject.name else ""
     key = keys.build(root, robot, subject, own_bus)
     assert keys.parse(key) == keys.KeyParts(root, robot, subject, own_bus)
@@ -33,13 +32,12 @@ def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: s
 @given(key=st.text() | st.text("abc0-_./*$#?{}@ \n"))
 @example(key="fleet/cruiser-1/state\n")
 def test_no_text_makes_parsing_raise(key: str) -> None:
-    """Any text is a key of ours or it is not; if it is, building gives it back."""
     parts = keys.parse(key)
     assert parts is None or keys.build(parts.root, parts.robot, parts.subject, parts.bus) == key
 
 
 def test_a_key_that_is_very_long_is_none_of_ours() -> None:
-    """It is not looked through: that takes as long as the square of its length."""
+    """Parsing it would take a time that grows with the square of its length."""
     rest = "/cruiser-1/chassis/gear"
     root = "r" * (keys.KEY_MAX_LENGTH - len(rest))
     assert keys.parse(root + rest) is not None
@@ -48,7 +46,6 @@ def test_a_key_that_is_very_long_is_none_of_ours() -> None:
 
 @given(root=st.text(), key=st.text())
 def test_no_text_makes_reading_a_liveliness_key_raise(root: str, key: str) -> None:
-    """Any text under any root is a liveliness key or it is not."""
     robot = keys.robot_of_liveliness(root, key)
     assert robot is None or keys.liveliness(root, robot) == key
 
@@ -68,14 +65,12 @@ def test_no_text_makes_reading_a_liveliness_key_raise(root: str, key: str) -> No
     ],
 )
 def test_a_part_that_does_not_fit_is_not_built_into_a_key(root: str, robot: str, name: str, bus: str) -> None:
-    """Wildcards, empty chunks and buses where none belong never reach a key."""
     with pytest.raises(ValueError, match=r"form|fit"):
         keys.build(root, robot, BY_NAME[name], bus)
 
 
 @given(root=ROOTS, robot=ROBOTS, operator=OPERATORS, verb=VERBS)
 def test_a_command_key_names_its_operator_and_verb(root: str, robot: str, operator: str, verb: str) -> None:
-    """What was built says who asks for what; one for all robots does so too, and neither is a subject's key."""
     for addressed in (robot, keys.ALL):
         key = keys.command(root, addressed, operator, verb)
         assert key == f"{root}/{addressed}/{COMMAND_CHUNK}/{operator}/{verb}"
@@ -88,7 +83,6 @@ def test_a_command_key_names_its_operator_and_verb(root: str, robot: str, operat
 @example(key="fleet/cruiser-1/@cmd/*/stop")
 @example(key="fleet/@cmd/first/@cmd/second/stop")
 def test_no_text_makes_parsing_a_command_key_raise(key: str) -> None:
-    """An operator comes out of its form or empty; nothing is made up, whoever sent the key."""
     operator, verb = keys.parse_command(key)
     assert not operator or keys.command("fleet", "cruiser-1", operator, verb).endswith(f"/{operator}/{verb}")
     assert "/" not in verb
@@ -108,7 +102,6 @@ def test_no_text_makes_parsing_a_command_key_raise(key: str) -> None:
     ],
 )
 def test_a_part_that_does_not_fit_is_not_built_into_a_command_key(root: str, robot: str, operator: str) -> None:
-    """The one wildcard is ALL, in place of a whole chunk; no root is ever left open."""
     with pytest.raises(ValueError, match="form"):
         keys.command(root, robot, operator, "stop")
 
@@ -118,7 +111,6 @@ def test_a_part_that_does_not_fit_is_not_built_into_a_command_key(root: str, rob
 @example(pattern="**", robot="a")
 @example(pattern="a**b*", robot="ab")
 def test_zenoh_finds_the_robots_of_a_pattern(pattern: str, robot: str) -> None:
-    """As a shell would; the expression is one that Zenoh takes without a change."""
     expression = f"fleet/{keys.chunk_of(pattern)}/state"
     assert str(zenoh.KeyExpr.autocanonize(expression)) == expression
     found = zenoh.KeyExpr(expression).intersects(zenoh.KeyExpr(f"fleet/{robot}/state"))
@@ -127,19 +119,16 @@ def test_zenoh_finds_the_robots_of_a_pattern(pattern: str, robot: str) -> None:
 
 @given(st.sets(st.integers(0, 2000)))
 def test_names_are_in_the_order_of_their_numbers(numbers: set[int]) -> None:
-    """Whatever stands around them."""
     names = [f"plant-3-cruiser-{number}" for number in sorted(numbers)]
     assert sorted(sorted(names), key=keys.in_order) == names
 
 
 @given(login=st.text())
 def test_any_login_name_becomes_a_chunk_of_a_key(login: str) -> None:
-    """Whatever a login name holds, the operator's name is of its form."""
     assert re.fullmatch(OPERATOR_PATTERN, fitting(login))
 
 
 def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process whose user has no name commands as operator."""
 
     def nobody() -> str:
         raise KeyError
@@ -152,7 +141,6 @@ def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_each_key_is_declared_once_and_only_so_many_are() -> None:
-    """What the session returns is kept: it forgets a key together with that."""
     asked, alive = [], set()
 
     class Declared:

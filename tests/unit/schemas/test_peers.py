@@ -21,7 +21,6 @@ HOUR_S = 3600.0
 
 
 def fill(peers: Peers[str], peer: str, count: int) -> list[str]:
-    """Connections of a peer, each long after the one before."""
     names = [f"{peer}/{number}" for number in range(count)]
     for number, name in enumerate(names):
         assert peers.enter(name, peer, number * HOUR_S) == []
@@ -29,7 +28,6 @@ def fill(peers: Peers[str], peer: str, count: int) -> list[str]:
 
 
 def test_no_peer_has_more_than_its_share_and_its_oldest_silent_one_goes_first() -> None:
-    """Those that have asked for something keep their places; where all have, a new one finds none."""
     peers = Peers[str](4 * PEER_CONNECTIONS_MAX)
     first, second, *others = fill(peers, "a", PEER_CONNECTIONS_MAX)
     peers.asks(first)
@@ -46,7 +44,6 @@ def test_no_peer_has_more_than_its_share_and_its_oldest_silent_one_goes_first() 
 
 
 def test_where_all_places_are_taken_the_peer_with_the_most_gives_one() -> None:
-    """However much longer another one waits."""
     peers = Peers[str](10)
     fill(peers, "b", 1)
     oldest, *_ = fill(peers, "a", 9)
@@ -54,7 +51,6 @@ def test_where_all_places_are_taken_the_peer_with_the_most_gives_one() -> None:
 
 
 def test_no_peer_connects_faster_than_its_rate() -> None:
-    """Others do meanwhile, and it may again after a moment."""
     peers = Peers[int](10_000)
     at_once = sum(peers.enter(number, "a", HOUR_S) is not None for number in range(10_000))
     assert 1 < at_once <= PEER_CONNECTS_PER_S * CONNECT_BURST_S + 1
@@ -72,12 +68,10 @@ def test_no_peer_connects_faster_than_its_rate() -> None:
     ],
 )
 def test_a_network_of_ipv6_is_one_peer(host: str, peer: str) -> None:
-    """Its owner has 2**64 addresses."""
     assert peer_of(host) == peer
 
 
 def frame(opcode: int, size: int, *, is_last: bool = True, is_masked: bool = True) -> bytes:
-    """A frame of a WebSocket."""
     short = size if size < 126 else 126 if size < 1 << 16 else 127
     length = size.to_bytes({126: 2, 127: 8}[short]) if short > 125 else b""
     head = bytes([0x80 * is_last | opcode, 0x80 * is_masked | short])
@@ -91,7 +85,6 @@ FRAMES = st.builds(
 
 @given(st.lists(FRAMES, max_size=12), st.data())
 def test_each_frame_counts_and_no_portion_is_large(frames: list[bytes], data: st.DataObject) -> None:
-    """However the bytes are cut on the way."""
     left, total, counts = b"".join(frames), 0, SocketFrames()
     carried = sum(len(one) for one in frames)
     while left:
@@ -105,7 +98,6 @@ def test_each_frame_counts_and_no_portion_is_large(frames: list[bytes], data: st
 
 
 def test_pieces_of_a_message_are_counted() -> None:
-    """Control frames between them are none, and a whole message begins anew."""
     counts = SocketFrames()
     seen = []
     for one in (frame(2, 3, is_last=False), frame(9, 0), frame(0, 0, is_last=False), frame(0, 0), frame(1, 1)):
@@ -119,7 +111,6 @@ def test_pieces_of_a_message_are_counted() -> None:
     st.integers(1000, 10**6),
 )
 def test_no_more_goes_than_the_rate_and_a_moment(steps: list[tuple[int, float]], rate: int) -> None:
-    """Whoever waits as he is told never exceeds it, whatever pauses he makes besides."""
     pace, now_s, went = RateLimit(rate), 1000.0, 0
     for count, pause_s in steps:
         now_s += pause_s

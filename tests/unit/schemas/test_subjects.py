@@ -20,13 +20,11 @@ FRAME_IDS = [f"{variant.value}-{frame.name}" for variant, frame in FRAMES]
 
 
 def fields_of(subject: Subject) -> dict[str, object]:
-    """The fields of a message class that a frame's signals fill, with their types."""
     common = {"time_ns", "sequence", "alive_counter"}
     return {field.name: field.type for field in msgspec.structs.fields(subject.type) if field.name not in common}
 
 
 def test_an_encoding_names_one_class() -> None:
-    """Of all messages, requests and replies: whoever reads an encoding knows what the payload is."""
     kinds: set[tuple[str, type]] = {(subject.encoding, subject.type) for subject in SUBJECTS}
     kinds |= {(command.encoding, command.request) for command in COMMANDS}
     kinds |= {(command.reply_encoding, command.reply) for command in COMMANDS}
@@ -34,10 +32,7 @@ def test_an_encoding_names_one_class() -> None:
 
 
 def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
-    """The arbiter's state is there at once, and no decision or event is missed across a cut link.
-
-    A cached health would make a hung gateway look well: none is kept.
-    """
+    """A cached health would make a hung gateway look well: it has no history."""
     history = {subject.name: subject.qos.history for subject in SUBJECTS if subject.qos.history}
     assert history == {
         "safety/state": 1,
@@ -48,23 +43,17 @@ def test_a_late_joiner_gets_the_last_of_what_is_said_seldom() -> None:
 
 
 def test_only_who_may_have_no_lease_needs_none() -> None:
-    """To get one, or to stop the robot, takes no lease; everything else does."""
     without = {command.verb for command in COMMANDS if not issubclass(command.request, Leased)}
     assert without == {"acquire", "take", "stop"}
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_every_feedback_frame_has_a_subject(variant: Variant) -> None:
-    """The chassis sends nothing that has no subject, and no subject waits for a frame that does not exist."""
     assert {frame.name for frame in frames.load(variant).feedback} == set(BY_DBC_MESSAGE)
 
 
 @pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=FRAME_IDS)
 def test_a_message_is_what_the_dbc_says_of_its_frame(variant: Variant, frame: MessageLayout) -> None:
-    """Fields are its signals: CamelCase as snake_case, the unit as a suffix, in the same order; and its rate.
-
-    Each enumeration is its value table's names and ``undefined``, neither more nor fewer.
-    """
     del variant
     fields = fields_of(BY_DBC_MESSAGE[frame.name])
     assert list(fields) == [signal.field for signal in frame.payload_signals]

@@ -50,7 +50,6 @@ ENCODINGS = sorted(
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_another_version_of_any_schema_is_said_with_who_has_to_be_upgraded(encoding: str) -> None:
-    """Both versions stand there, and the older side."""
     assert names_schema(encoding)
     schema, _, version = encoding.partition(";")[2].rpartition("/")
     said = encoding_fault(newer(encoding), encoding, "the reader", "the writer")
@@ -63,7 +62,6 @@ def test_another_version_of_any_schema_is_said_with_who_has_to_be_upgraded(encod
 def test_a_value_that_an_enumeration_got_later_is_kept_as_its_word(
     grown: tuple[msgspec.Struct, tuple[str, ...]],
 ) -> None:
-    """All else of the message is as it was; the value is none of ours, is named, and is written as it came."""
     message, path = grown
     payload = with_new_word(message, path)
     read = understand(type(message), payload)
@@ -77,7 +75,6 @@ def test_a_value_that_an_enumeration_got_later_is_kept_as_its_word(
 def test_fields_that_were_added_later_are_left_out_and_named(
     data: st.DataObject, kind: type[msgspec.Struct]
 ) -> None:
-    """An older reader reads a newer sender."""
     message = data.draw(any_of(kind))
     assert understand(kind, with_new_fields(message, new=1, newer="b")) == Understood(
         message, ("field 'new'", "field 'newer'")
@@ -86,14 +83,12 @@ def test_fields_that_were_added_later_are_left_out_and_named(
 
 @pytest.mark.parametrize("name", [b"\xa3\xff\xff\xff", b"\xa3\xec\xa7a", b"\x93\x01\x02\x03"])
 def test_a_field_whose_name_is_none_is_a_fault_and_no_exception(name: bytes) -> None:
-    """Bytes that are not UTF-8, or a list: one sample of a stranger ends no reader."""
     payload = with_new_fields(HEALTH, new=1).replace(b"\xa3new", name)
     assert isinstance(understand(type(HEALTH), payload), PayloadFault)
 
 
 @given(kind=st.sampled_from(READ), value=ANYTHING)
 def test_nothing_makes_reading_raise(kind: type[msgspec.Struct], value: object) -> None:
-    """Whatever MessagePack can say, and whatever stands where a word should, is a fault."""
     assert isinstance(understand(kind, msgspec.msgpack.encode(value)), PayloadFault)
     if enumerations(kind) and not isinstance(value, str):
         name = enumerations(kind)[0][0]
@@ -102,12 +97,10 @@ def test_nothing_makes_reading_raise(kind: type[msgspec.Struct], value: object) 
 
 @pytest.mark.parametrize("word", ["", "Ice", "two words", "9", "\x1b[2J", "a" * 65, "é"])
 def test_only_a_word_is_kept_as_one(word: str) -> None:
-    """What is shown to people cannot break their terminal."""
     assert member_of(Reason, word) is None
 
 
 def test_a_word_of_a_newer_version_is_one_member() -> None:
-    """It equals itself, is in no set of ours, and is told in words that say so."""
     ice = member_of(Reason, "ice")
     assert ice is not None
     assert ice is member_of(Reason, "ice")
@@ -122,7 +115,6 @@ def test_a_word_of_a_newer_version_is_one_member() -> None:
 
 @given(pair=commands_and_requests())
 def test_a_command_is_never_read_in_part(pair: tuple[Command, Request]) -> None:
-    """A field that this version does not have refuses it, and so does a value."""
     command, request = pair
     fault = decode_request(command, with_new_fields(request))
     assert isinstance(fault, PayloadFault)
@@ -134,7 +126,6 @@ def test_a_command_is_never_read_in_part(pair: tuple[Command, Request]) -> None:
 
 @pytest.mark.parametrize("verb", REQUESTS)
 def test_a_request_says_no_more_than_it_means(verb: str) -> None:
-    """A field that is as without it is left out, so a robot that does not have it yet understands the request."""
     command = next(one for one in ALL_VERBS if one.verb == verb)
     asked = msgspec.convert(REQUESTS[verb], command.request)
     assert msgspec.msgpack.decode(codec.encode(asked)).keys() == REQUESTS[verb].keys()
@@ -173,13 +164,11 @@ FIELDS: dict[type[Message], str] = {
 
 @pytest.mark.parametrize("kind", ENUMERATIONS, ids=lambda kind: kind.__name__)
 def test_members_keep_their_places(kind: type[Enum]) -> None:
-    """New ones come after them."""
     before = ENUMERATIONS[kind].split()
     assert [member.value for member in kind][: len(before)] == before
 
 
 @pytest.mark.parametrize("kind", FIELDS, ids=lambda kind: kind.__name__)
 def test_fields_keep_their_places(kind: type[Message]) -> None:
-    """New ones come after them."""
     before = FIELDS[kind].split()
     assert [field.name for field in msgspec.structs.fields(kind)][: len(before)] == before

@@ -53,7 +53,6 @@ OTHER = "tls/[::1]:7500"
 def test_what_is_said_of_a_session(
     of_file: dict[str, Json], settings: ZenohSettings, mode: str, connect: list[str], listen: list[str]
 ) -> None:
-    """A setting wins over the file, the file is read in each of Zenoh's forms, and a client listens on nothing."""
     assert said(settings, of_file.get)[:3] == (mode, connect, listen)
     assert said(settings, of_file.get).is_mode_given == (MODE in of_file or "mode" in settings.given)
 
@@ -74,7 +73,6 @@ def test_what_is_said_of_a_session(
     ],
 )
 def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own: str) -> None:
-    """It listens on the same address and the next port, and reaches the first one from this machine."""
     assert (next_ports([listen]), own_endpoint(listen)) == ([beside], own)
 
 
@@ -87,13 +85,12 @@ def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own:
     ],
 )
 def test_where_no_port_comes_next_there_is_none(listen: str, fault: str) -> None:
-    """Nothing is made up: the caller has to say where."""
     with pytest.raises(ValueError, match=fault):
         next_ports([listen])
 
 
 class Nodes:
-    """A session that gets connected after so many looks."""
+    """A session that is connected after this many checks."""
 
     def __init__(self, after: int, peers: int, routers: int) -> None:
         self.looks = 0
@@ -125,7 +122,6 @@ class Nodes:
 def test_who_finds_a_router_and_no_peer_has_found_a_router(
     peers: int, routers: int, after: int, *, is_router: bool
 ) -> None:
-    """Looked for during half a second; a node that is there ends the wait."""
     nodes = Nodes(after, peers, routers)
     assert finds_router(nodes, nodes.pause) is is_router
     assert nodes.looks == (min(after, ROUTER_LOOKS) if peers or routers else ROUTER_LOOKS)
@@ -145,7 +141,6 @@ def test_who_finds_a_router_and_no_peer_has_found_a_router(
     ],
 )
 def test_an_endpoint_of_this_machine(endpoint: str, *, stays: bool) -> None:
-    """What may lead elsewhere counts as elsewhere."""
     assert is_loopback(endpoint) is stays
 
 
@@ -161,7 +156,6 @@ def test_an_endpoint_of_this_machine(endpoint: str, *, stays: bool) -> None:
 def test_a_session_neither_scouts_nor_listens_by_itself(
     tmp_path: Path, text: str, connect: list[str], in_force: tuple[bool, list[str], list[str]]
 ) -> None:
-    """Multicast is off unless a Zenoh file asks for it; a command listens on nothing, whatever the file says."""
     file = tmp_path / "zenoh.json5"
     file.write_text(text)
     config = _configuration(ZenohSettings(config=str(file)), connect, [])
@@ -169,7 +163,6 @@ def test_a_session_neither_scouts_nor_listens_by_itself(
 
 
 def test_what_a_zenoh_file_says_holds_unless_a_setting_is_given(tmp_path: Path) -> None:
-    """Mode, lease and what is no setting of ours are the file's; a given setting wins, as its start value too."""
     file = tmp_path / "zenoh.json5"
     file.write_text(
         "{ mode: 'client', timestamping: { enabled: false },"

@@ -1,4 +1,4 @@
-"""The door of a robot in signed mode. The rules are those of docs/authority.md; every attack has to be refused."""
+"""A robot's admission in signed mode: the rules of docs/authority.md, and attacks."""
 
 from __future__ import annotations
 
@@ -58,14 +58,12 @@ def encode(said: Request | LeaseReply) -> bytes:
 
 
 class Given(NamedTuple):
-    """What a robot replies to the request for a lease."""
-
     reply: PendingReply
     said: LeaseReply
 
 
 class Door:
-    """A robot's door, and people in front of it. All doors know one challenge, the worst case."""
+    """A robot's admission, and clients in front of it. All robots know one challenge, the worst case."""
 
     def __init__(self, fleet: Fleet | None = None) -> None:
         self.fleet = fleet or Fleet()
@@ -103,7 +101,7 @@ class Door:
         return credentials
 
     def sign(self, party: Party, verb: str, sent: bytes = b"", **changes: Any) -> RawRequest:  # noqa: ANN401 - what is signed
-        """A signed verb, under the party's name or ``name``, where what arrives was changed on its way."""
+        """A signed verb under the party's name, or ``name``; ``changes`` are signed in place of what is sent."""
         name = changes.pop("name", party.name)
         signed = {"key": key_of(name, verb), "encoding": BY_VERB[verb].encoding, "payload": sent}
         signed |= {"challenge": CHALLENGE}
@@ -113,7 +111,6 @@ class Door:
         return self.admit(self.sign(party, verb, sent, **changes))
 
     def reasons(self, raws: list[RawRequest]) -> list[Reason]:
-        """What becomes of requests that come in one tick."""
         self.admission.begin_tick(self.now_ns)
         judged = [self.admission.admit(raw, self.now_ns).credentials for raw in raws]
         return [one.reason for one in judged if one is not None]
@@ -126,14 +123,12 @@ class Door:
         return Given(reply, msgspec.msgpack.decode(reply.payload, type=LeaseReply))
 
     def revoke(self, grant: HeldGrant) -> None:
-        """From now on this grant is revoked."""
         trust = self.admission.trust.revoke(self.fleet.authority.revoke(1, grant))
         assert isinstance(trust, Trust)
         self.admission.trust = trust
 
 
 def known(**changes: Any) -> tuple[Door, Party]:  # noqa: ANN401 - fields of a grant
-    """A door that knows an operator's grant."""
     door = Door()
     ann = door.fleet.operator(**changes)
     assert isinstance(door.introduce(ann), HeldGrant)
@@ -141,7 +136,7 @@ def known(**changes: Any) -> tuple[Door, Party]:  # noqa: ANN401 - fields of a g
 
 
 class Holder:
-    """An operator who has acquired the lease, and the key that it agreed on with the robot."""
+    """An operator who acquired the lease and agreed on its key."""
 
     def __init__(self, door: Door, party: Party, lease: int = LEASE) -> None:
         self.door, self.party = door, party
@@ -162,7 +157,6 @@ class Holder:
         return encode(Drive(lease=LEASE, seq=seq, challenge=CHALLENGE, speed_mps=0.3, angle_deg=0.0))
 
     def verb(self, verb: str, payload: bytes = b"") -> RawRequest:
-        """A verb with the tag of the lease."""
         key, encoding = key_of(self.party.name, verb), BY_VERB[verb].encoding
         attachment = self.party.prove(key, encoding, payload, CHALLENGE)
         proof = RequestProof.read(attachment)
@@ -179,7 +173,6 @@ class Holder:
 
 
 def test_a_grant_is_taken_from_anyone_for_its_signatures() -> None:
-    """One of another fleet, for another robot or of yesterday is refused."""
     door = Door()
     assert isinstance(door.introduce(door.fleet.operator()), HeldGrant)
     for party, reason in (
@@ -193,7 +186,6 @@ def test_a_grant_is_taken_from_anyone_for_its_signatures() -> None:
 
 
 def test_so_many_grants_are_kept_and_the_one_unused_for_longest_goes() -> None:
-    """Grants that nobody uses push out none that is used."""
     door, ann = known()
     others = [door.fleet.operator(f"other-{n}") for n in range(GRANTS_KEPT)]
     for one in others[: GRANTS_KEPT - 1]:
@@ -209,7 +201,6 @@ def test_so_many_grants_are_kept_and_the_one_unused_for_longest_goes() -> None:
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_signed_verb_is_its_signers(verb: str) -> None:
-    """Role, override and speed limit are the grant's."""
     if verb == "drive":
         return
     door, ann = known(role=GrantRole.SUPERVISOR, override=True, speed_limit_mps=0.7, serial=9)
@@ -218,7 +209,6 @@ def test_a_signed_verb_is_its_signers(verb: str) -> None:
 
 @pytest.mark.parametrize("length", [0, 1, 24, 25, 73, 88, 90, 104, 106, 200])
 def test_without_a_proof_nothing_is_proven(length: int) -> None:
-    """Bytes of any other length are no proof."""
     door, ann = known()
     credentials = door.admit(door.raw(ann.name, "engage", b"", os.urandom(length)))
     assert credentials.reason is Reason.PROOF_MISSING
@@ -239,7 +229,6 @@ def test_without_a_proof_nothing_is_proven(length: int) -> None:
     ],
 )
 def test_a_signature_is_for_one_payload_encoding_robot_operator_and_verb(changes: dict[str, Any]) -> None:
-    """Whatever of these is another, the signature does not fit; a wildcard never does."""
     door, ann = known()
     assert door.ask(ann, "engage", b"payload").reason is Reason.NONE
     assert door.ask(ann, "engage", b"payload", **changes).reason is Reason.PROOF_WRONG
@@ -247,7 +236,6 @@ def test_a_signature_is_for_one_payload_encoding_robot_operator_and_verb(changes
 
 @given(place=st.integers(0, 88), bit=st.integers(0, 7))
 def test_no_bit_of_an_attachment_can_be_changed(place: int, bit: int) -> None:
-    """Version, grant, challenge, nonce and signature are all covered."""
     payload = b"payload"
     attachment = bytearray(DOOR.sign(ANN, "engage", payload).attachment)
     attachment[place] ^= 1 << bit
@@ -258,7 +246,6 @@ DOOR, ANN = known()
 
 
 def test_a_name_is_the_grants() -> None:
-    """Whoever signs with a key of its own under another's name is refused."""
     door, ann = known()
     mallory = door.fleet.operator("mallory")
     door.introduce(mallory)
@@ -268,7 +255,6 @@ def test_a_name_is_the_grants() -> None:
 
 
 def test_a_verb_that_was_not_granted_is_refused_but_for_the_stop() -> None:
-    """A stop needs no grant of its own."""
     door, ann = known(verbs=["acquire"])
     assert door.ask(ann, "acquire").reason is Reason.NONE
     refused = door.ask(ann, "engage")
@@ -278,13 +264,11 @@ def test_a_verb_that_was_not_granted_is_refused_but_for_the_stop() -> None:
 
 @pytest.mark.parametrize("role", [GrantRole.SITE, GrantRole.ROBOT, GrantRole.RECORDER])
 def test_who_is_no_person_and_no_program_commands_nothing(role: GrantRole) -> None:
-    """Sites grant, robots and recorders report: none of them drives."""
     door, ann = known(role=role)
     assert door.ask(ann, "engage").reason is Reason.NOT_GRANTED
 
 
 def test_a_request_that_was_kept_back_or_comes_again_is_refused() -> None:
-    """In the same and in the next tick, and 2.1 s later; a challenge that is old, unknown, or of another run."""
     door, ann = known()
     raw = door.sign(ann, "engage")
     assert [door.admit(raw).reason for _ in range(3)] == [Reason.NONE, Reason.REPLAYED, Reason.REPLAYED]
@@ -296,7 +280,7 @@ def test_a_request_that_was_kept_back_or_comes_again_is_refused() -> None:
 
 
 def test_what_was_signed_for_a_former_run_is_refused_after_a_restart() -> None:
-    """No nonce is remembered then, and no lease: the challenge, and the key of a lease, are of one run."""
+    """No nonce survives a restart: the challenge, and the key of a lease, belong to one run."""
     fleet, ann = Fleet(), Party("ann")
     fleet.authority.grant(ann)
     former, later = Door(fleet), Door(fleet)
@@ -316,7 +300,6 @@ def test_what_was_signed_for_a_former_run_is_refused_after_a_restart() -> None:
 
 
 def test_a_revoked_or_expired_grant_is_refused_at_once() -> None:
-    """The next request under it is refused."""
     door, ann = known()
     grant = door.introduce(ann)
     assert isinstance(grant, HeldGrant)
@@ -328,7 +311,6 @@ def test_a_revoked_or_expired_grant_is_refused_at_once() -> None:
 
 
 def test_a_flood_of_forged_signatures_costs_a_bounded_time() -> None:
-    """What comes after so many in one tick is refused as busy, and judged in the next; no grant is kept out."""
     door, ann = known()
     bob = door.fleet.operator("bob")
     judged = door.reasons([door.sign(ann, "engage", key=key_of("ann", "release")) for _ in range(10)])
@@ -338,7 +320,7 @@ def test_a_flood_of_forged_signatures_costs_a_bounded_time() -> None:
 
 
 def test_no_flood_under_the_holders_grant_keeps_the_holders_verbs_out() -> None:
-    """Nobody else makes the tag of the lease: the signatures of the others are counted apart."""
+    """Only the holder can make the lease's tag, so its signatures are counted apart."""
     door, ann = known()
     holder = Holder(door, ann)
     fresh = [holder.request[:17] + os.urandom(8 + 64 + tag) for tag in (0, 16) * 20]
@@ -349,7 +331,6 @@ def test_no_flood_under_the_holders_grant_keeps_the_holders_verbs_out() -> None:
 
 
 def test_the_holders_own_signatures_are_bounded_too() -> None:
-    """Beyond them it has its part of what is for all."""
     holder = Holder(*known())
     most = HOLDERS_PER_TICK + SIGNATURES_PER_TICK
     reasons = holder.door.reasons([holder.verb("renew") for _ in range(most + 1)])
@@ -357,7 +338,6 @@ def test_the_holders_own_signatures_are_bounded_too() -> None:
 
 
 def test_a_tag_alone_proves_nothing() -> None:
-    """The signature counts: a tag under a wrong one is refused, and one without a tag holds."""
     door, ann = known()
     holder = Holder(door, ann)
     right = holder.verb("renew")
@@ -372,7 +352,6 @@ def test_a_tag_alone_proves_nothing() -> None:
 
 
 def test_the_holder_drives_under_the_key_of_its_lease() -> None:
-    """The speed limit of the grant comes with each command."""
     holder = Holder(*known(speed_limit_mps=0.4))
     assert holder.credentials.reason is Reason.NONE
     driven = holder.drive(holder.payload())
@@ -381,7 +360,6 @@ def test_the_holder_drives_under_the_key_of_its_lease() -> None:
 
 @given(place=st.integers(0, 10_000), bit=st.integers(0, 7), part=st.sampled_from([0, 1]))
 def test_no_bit_of_a_drive_can_be_changed(place: int, bit: int, part: int) -> None:
-    """Payload, version, lease and tag are all covered."""
     payload = HOLDER.payload()
     sent = bytearray(payload), bytearray(HOLDER.tags.attachment(payload))
     sent[part][place % len(sent[part])] ^= 1 << bit
@@ -392,7 +370,6 @@ HOLDER = Holder(*known())
 
 
 def test_the_key_of_a_lease_is_for_one_lease_robot_run_and_operator() -> None:
-    """A drive that was recorded under one lease is nothing under the next, nor elsewhere."""
     door, ann = known()
     first = Holder(door, ann)
     payload = first.payload()
@@ -411,14 +388,13 @@ def test_the_key_of_a_lease_is_for_one_lease_robot_run_and_operator() -> None:
 
 
 def test_a_grant_without_drive_drives_nothing() -> None:
-    """Holding the lease is not enough."""
     holder = Holder(*known(verbs=["acquire", "take", "release"]))
     assert holder.drive(holder.payload()).reason is Reason.NOT_GRANTED
 
 
 @pytest.mark.parametrize("verb", ["acquire", "take"])
 def test_a_lease_comes_with_a_key_for_a_usable_one(verb: str) -> None:
-    """However it is asked for. Without one, or with a point of small order that all know, nobody drives."""
+    """Without a public key, or with one of small order, the holder cannot drive."""
     usable = public_bytes(X25519PrivateKey.generate())
     for public_key in (None, bytes(32), b"\x01" + bytes(31), usable):
         door, ann = known()
@@ -434,7 +410,7 @@ def test_a_lease_comes_with_a_key_for_a_usable_one(verb: str) -> None:
 
 
 def test_a_lease_without_a_key_ends_the_former_holders_and_ends_with_its_own_grant() -> None:
-    """Nobody drives under it; but it engages, so a revocation has to end it."""
+    """Its holder cannot drive, but can engage, so a revocation has to end it."""
     door, ann = known()
     former = Holder(door, ann)
     bob = door.fleet.operator("bob")
@@ -451,7 +427,7 @@ def test_a_lease_without_a_key_ends_the_former_holders_and_ends_with_its_own_gra
 
 
 def test_a_namesake_with_another_grant_cannot_use_the_lease() -> None:
-    """Else its speed limit would count, and the revocation of its grant would stop nothing."""
+    """Otherwise its speed limit would apply, and revoking its grant would not stop the robot."""
     door, ann = known()
     Holder(door, ann)
     namesake = door.fleet.operator(ann.name)
@@ -465,7 +441,6 @@ def test_a_namesake_with_another_grant_cannot_use_the_lease() -> None:
 
 
 def test_a_refused_lease_changes_no_key() -> None:
-    """Who holds it goes on driving."""
     door, ann = known()
     holder = Holder(door, ann)
     bob = door.fleet.operator("bob")
@@ -478,7 +453,6 @@ def test_a_refused_lease_changes_no_key() -> None:
 
 
 def test_only_the_holders_are_put_first() -> None:
-    """By its tag, which nobody else can make."""
     door, ann = known()
     holder = Holder(door, ann)
     payload = holder.payload()
@@ -507,7 +481,6 @@ def test_only_the_holders_are_put_first() -> None:
 
 
 def test_a_reply_answers_one_request() -> None:
-    """The signature covers the attachment of the request: a reply that was kept answers nothing else."""
     door, ann = known()
     holder = Holder(door, ann)
     proof = RobotProof.read(holder.reply.attachment)
@@ -525,7 +498,7 @@ def test_a_reply_answers_one_request() -> None:
 
 
 def test_the_reply_to_a_stop_that_nobody_signed_is_the_robots_too() -> None:
-    """Only then is a stop confirmed to a person."""
+    """Only a signed reply confirms a stop to a person."""
     door, _ = known()
     raw = door.raw("anybody", "stop", b"", b"")
     door.admission.admit(raw, door.now_ns)
@@ -538,7 +511,7 @@ def test_the_reply_to_a_stop_that_nobody_signed_is_the_robots_too() -> None:
 
 @pytest.mark.parametrize("verb", ["stop", "renew", "nonsense", ""])
 def test_a_query_under_a_wildcard_is_answered_and_breaks_nothing(verb: str) -> None:
-    """Its key names no operator, so there is nothing to sign for; anybody can send such a query."""
+    """Its key names no operator, so there is no key expression to sign for."""
     door, _ = known()
     raw = door.raw("", verb, b"", b"")
     assert door.admit(raw).reason is not Reason.NONE
@@ -550,7 +523,6 @@ def test_a_query_under_a_wildcard_is_answered_and_breaks_nothing(verb: str) -> N
 
 
 def test_so_many_tags_are_checked_in_a_tick_to_find_the_holders() -> None:
-    """Beyond them nobody's drive goes first until the next tick."""
     holder = Holder(*known())
     payload = holder.payload()
     tagged = holder.tags.attachment(payload)
@@ -563,7 +535,6 @@ def test_so_many_tags_are_checked_in_a_tick_to_find_the_holders() -> None:
 
 
 def test_a_challenge_of_two_seconds_is_taken_and_its_age_is_that_of_now() -> None:
-    """The age is asked for the time of the request."""
     door, ann = known()
     asked: list[tuple[bytes, int]] = []
 
@@ -577,7 +548,6 @@ def test_a_challenge_of_two_seconds_is_taken_and_its_age_is_that_of_now() -> Non
 
 
 def test_nonces_are_forgotten_when_their_challenges_are_too_old_by_far() -> None:
-    """The oldest first, and none before its time."""
     door, ann = known()
     first, second = (door.sign(ann, "engage") for _ in range(2))
     assert door.admit(first).reason is Reason.NONE
@@ -599,8 +569,6 @@ SEEDED = Random(1)  # noqa: S311 - chance that comes again
 
 
 class Sieve:
-    """A robot's sieve; each statement stands for itself."""
-
     def __init__(self) -> None:
         self.bench = AuthorityBench()
         self.fleet = self.bench.fleet
@@ -614,12 +582,12 @@ class Sieve:
 
 
 def forged(signed: Signed) -> bytes:
-    """The same, under a signature that does not fit: whoever knows a public key can name it."""
+    """The same statement under a signature that does not fit."""
     return msgspec.structs.replace(signed, signature=os.urandom(64)).text().encode()
 
 
 def floods(fleet: Fleet) -> dict[str, list[bytes]]:
-    """Everything that anybody with a certificate can send, each so often that it fills a tick."""
+    """Everything that a client with a certificate can send, each often enough to fill a tick."""
     ann, stranger = fleet.operator(), Fleet()
     return {
         "junk": [os.urandom(3) for _ in range(FLOOD)],
@@ -636,7 +604,6 @@ def floods(fleet: Fleet) -> dict[str, list[bytes]]:
 
 @pytest.mark.parametrize("flood", floods(Fleet()))
 def test_no_flood_keeps_a_revocation_or_a_rotation_waiting(flood: str) -> None:
-    """Each is chosen in the tick in which it arrives, whatever else does."""
     sieve = Sieve()
     assert sieve.bench.show(sieve.fleet.authority.revoke(1).text()).ok
     sent = floods(sieve.fleet)[flood]
@@ -650,7 +617,7 @@ def test_no_flood_keeps_a_revocation_or_a_rotation_waiting(flood: str) -> None:
 
 
 def test_a_flood_in_the_authoritys_name_lets_each_through_by_chance() -> None:
-    """It takes a signature to find these out. Who sends the true one again gets it through; no order helps."""
+    """Finding forgeries takes a signature check each; the true statement gets through if it is repeated."""
     sieve = Sieve()
     word = sieve.fleet.authority.revoke(1)
     for place in (0, FLOOD):
@@ -664,7 +631,6 @@ def test_a_flood_in_the_authoritys_name_lets_each_through_by_chance() -> None:
 
 
 def test_so_many_are_chosen_in_a_tick() -> None:
-    """Each of them costs signatures."""
     sieve = Sieve()
     assert sieve.bench.show(sieve.fleet.authority.revoke(1).text()).ok
     forgeries = [forged(sieve.fleet.authority.revoke(2)) for _ in range(FLOOD)]
@@ -674,7 +640,6 @@ def test_so_many_are_chosen_in_a_tick() -> None:
 
 
 def test_each_kind_has_its_turn() -> None:
-    """A flood of one kind leaves the others their share."""
     sieve = Sieve()
     known = chain_text(sieve.fleet.operator().chain).encode()
     assert sieve.bench.show(known.decode()).ok
@@ -686,7 +651,6 @@ def test_each_kind_has_its_turn() -> None:
 
 
 def test_what_is_not_chosen_waits_for_the_next_tick() -> None:
-    """Two people who ask in one tick are both answered; of a flood only so many are kept."""
     sieve = Sieve()
     people = [chain_text(sieve.fleet.operator(name).chain).encode() for name in ("ann", "bob", "cyd")]
     chosen = sieve.tick(*people)
@@ -700,7 +664,6 @@ def test_what_is_not_chosen_waits_for_the_next_tick() -> None:
 
 
 def test_a_kind_is_known_by_the_text_alone() -> None:
-    """By its beginning, who is said to have signed it, and what the robot knows already."""
     sieve = Sieve()
     fleet, kind = sieve.fleet, sieve.kind
     ann = fleet.operator()

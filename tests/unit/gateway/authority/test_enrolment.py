@@ -51,7 +51,6 @@ PLACE = FleetPlace("fleet", ["tls/router.example:7447"])
 
 
 def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole) -> Bundle:
-    """What somebody gets who has this chain."""
     return Bundle(
         role=role,
         name=party.name,
@@ -66,7 +65,6 @@ def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole) -> Bundle:
 def made_for(
     name: str = "ann", role: EnrolmentRole = EnrolmentRole.OPERATOR
 ) -> tuple[Fleet, Party, Bundle, bytes]:
-    """A fleet, somebody whom its authority has let in, the bundle, and its text."""
     fleet, party = Fleet(), Party(name)
     fleet.authority.grant(party, role=GRANTED[role])
     bundle = bundle_for(fleet, party, role)
@@ -74,7 +72,6 @@ def made_for(
 
 
 def refusal(text: bytes, now_s: int = NOW_S) -> str:
-    """Why it is no bundle that holds."""
     with pytest.raises(EnrolmentError) as caught:
         read_bundle(text, now_s)
     return str(caught.value)
@@ -94,7 +91,6 @@ def asked(
 
 @pytest.mark.parametrize("role", list(EnrolmentRole))
 def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
-    """Who is granted something has a key in it, who is not has none."""
     private = Ed25519PrivateKey.generate() if role in GRANTED else None
     assert role.is_granted == (role in GRANTED)
     request = asked(role, ["one-1"], private)
@@ -116,7 +112,6 @@ def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
     ],
 )
 def test_a_name_is_of_the_form_that_keys_have(role: EnrolmentRole, names: list[str]) -> None:
-    """Of a robot and a recorder, of an operator; one, where it stands in a grant."""
     with pytest.raises(EnrolmentError):
         asked(role, names, Ed25519PrivateKey.generate())
 
@@ -142,7 +137,6 @@ CHANGES: dict[str, list[object]] = {
 )
 @pytest.mark.parametrize("field", EnrolmentRequest.__struct_fields__)
 def test_no_field_of_a_request_can_be_changed_unseen(field: str, made: EnrolmentRequest) -> None:
-    """It is refused; and whoever signs it again with other keys changes its fingerprint."""
     for value in CHANGES[field]:
         changed = msgspec.structs.replace(made, **{field: value})
         if changed == made:
@@ -154,7 +148,6 @@ def test_no_field_of_a_request_can_be_changed_unseen(field: str, made: Enrolment
 
 
 def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
-    """Neither key signs for the other: the request of a person is of both, and of nobody else."""
     request, thief = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS), Ed25519PrivateKey.generate()
     stolen = msgspec.structs.replace(request, key=thief.public_key().public_bytes_raw().hex())
     stolen = msgspec.structs.replace(stolen, proof=thief.sign(stolen.signed()).hex())
@@ -172,7 +165,7 @@ def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
 @pytest.mark.parametrize("change", [lambda text: f"{text}\n", lambda text: f" {text}", str.upper])
 @pytest.mark.parametrize("field", ["key", "proof", "csr_proof"])
 def test_a_key_and_a_signature_are_written_in_one_way(field: str, change: Callable[[str], str]) -> None:
-    """Else one key would be several: one of them revoked, or limited, and the others not."""
+    """Otherwise one key could appear as several, one of them revoked and the others not."""
     made = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS)
     other = msgspec.structs.replace(made, **{field: change(getattr(made, field))})
     with pytest.raises(EnrolmentError, match="matching regex"):
@@ -180,7 +173,7 @@ def test_a_key_and_a_signature_are_written_in_one_way(field: str, change: Callab
 
 
 def test_a_request_of_a_former_version_is_refused_with_the_cure() -> None:
-    """Its fingerprint covered no key, so that comparing it proved nothing."""
+    """Its fingerprint did not cover the key."""
     text = (
         b'{"role":"operator","names":["ann"],"csr":"","key":"' + b"00" * 32 + b'","proof":"' + b"00" * 64 + b'"}'
     )
@@ -189,7 +182,6 @@ def test_a_request_of_a_former_version_is_refused_with_the_cure() -> None:
 
 
 def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
-    """Each key, the CA, the root and each router: another fingerprint. That of the keys alone is of both."""
     keys, other = AuthorityKeys("00" * 32, "01" * 32), "02" * 32
     replace = msgspec.structs.replace
     shown = [
@@ -213,7 +205,6 @@ def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
 
 @pytest.mark.parametrize("role", GRANTED)
 def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
-    """For each role that is granted something, with a grant of this role and no other."""
     fleet, _, bundle, made = made_for("one-1", role)
     assert read_bundle(made, NOW_S) == bundle
     for other in set(GRANTED) - {role}:
@@ -225,7 +216,6 @@ def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
 
 
 def test_a_bundle_that_was_changed_holds_no_more() -> None:
-    """Any bit of it."""
     _, _, _, whole = made_for()
     for place in range(len(whole) - 1):
         refusal(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
@@ -234,7 +224,6 @@ def test_a_bundle_that_was_changed_holds_no_more() -> None:
 
 @pytest.mark.parametrize("field", [name for name in Bundle.__struct_fields__ if name != "signer"])
 def test_no_field_of_a_bundle_can_be_changed_unseen(field: str) -> None:
-    """Not by whoever carries it; and who makes one of an authority of their own shows another fingerprint."""
     (_, party, bundle, whole), thieves = made_for(), Fleet()
     others = msgspec.structs.replace(
         bundle_for(thieves, Party("bea"), EnrolmentRole.VIEWER),
@@ -258,14 +247,12 @@ def test_no_field_of_a_bundle_can_be_changed_unseen(field: str) -> None:
 @example(b"{" * 70_000)
 @example(b'{"role":' * 5000)
 def test_whatever_comes_is_refused_with_words(text: bytes) -> None:
-    """A request, a bundle, a statement, JSON that is nested or too long: never another exception."""
     for read in (read_request, chain_of, lambda one: read_bundle(one, NOW_S)):
         with pytest.raises(EnrolmentError):
             read(text)
 
 
 def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
-    """A browser does: its desk has the certificate."""
     private = Ed25519PrivateKey.generate()
     request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private, None)
     assert read_request(msgspec.json.encode(request)).csr == ""
@@ -282,7 +269,6 @@ every_role = pytest.mark.parametrize("role", [role for role in TransportRole if 
 
 
 def configuration(role: TransportRole) -> dict[str, Any]:
-    """The configuration of a node, as a file would hold it."""
     robot = "cruiser-1" if role is TransportRole.ROBOT else ""
     made: dict[str, Any] = json.loads(json.dumps(zenoh_configuration(role, "fleet", DIRECTORY, [ENDPOINT], robot)))
     return made
@@ -290,7 +276,7 @@ def configuration(role: TransportRole) -> dict[str, Any]:
 
 @every_role
 def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
-    """Every subject has names, for one without is everybody; every rule is used, allows, and has keys."""
+    """A subject without names would match every node."""
     access = configuration(role)["access_control"]
     assert (access["enabled"], access["default_permission"]) == (True, "deny")
     assert all(subject["cert_common_names"] for subject in access["subjects"])
@@ -313,7 +299,6 @@ def test_everything_is_denied_that_is_not_allowed(role: TransportRole) -> None:
 
 @every_role
 def test_links_are_mutual_tls_alone(role: TransportRole) -> None:
-    """Both ends show certificates, names are held against them, a link ends with its certificate."""
     link = configuration(role)["transport"]["link"]
     assert link["protocols"] == ["tls"]
     assert link["rx"] == {"max_message_size": 1_048_576}
@@ -332,7 +317,6 @@ def test_links_are_mutual_tls_alone(role: TransportRole) -> None:
 
 @every_role
 def test_all_but_the_router_dial_out_and_listen_on_nothing(role: TransportRole) -> None:
-    """And nobody looks for others by multicast."""
     made = configuration(role)
     is_router = role is TransportRole.ROUTER
     assert made["mode"] == ("router" if is_router else "client")
@@ -343,7 +327,6 @@ def test_all_but_the_router_dial_out_and_listen_on_nothing(role: TransportRole) 
 
 @every_role
 def test_no_filter_is_on_a_stop(role: TransportRole) -> None:
-    """No size limit includes its key, of one robot or of all."""
     limits = configuration(role)["low_pass_filter"]
     expressions = [zenoh.KeyExpr(key) for limit in limits for key in limit["key_exprs"]]
     stops = [
@@ -356,14 +339,13 @@ def test_no_filter_is_on_a_stop(role: TransportRole) -> None:
 
 
 def test_people_have_no_double_wildcard() -> None:
-    """It would let them declare subscriptions without end, but for histories, below one subject each."""
+    """It would allow any number of subscriptions, except for histories below one subject each."""
     people = {TransportRole.OPERATOR, TransportRole.VIEWER, TransportRole.DESK}
     keys = {key for row in access_table("fleet") if people & set(row.roles) for key in row.keys}
     assert not [key for key in keys if "**" in key.replace("/@adv/**", "")]
 
 
 def test_a_robots_file_names_no_other_robot() -> None:
-    """What it takes is for itself, but for stops and statements, which may be for all."""
     rows = [row for row in access_table("fleet", "cruiser-1") if TransportRole.ROBOT in row.roles]
     taken = {key for row in rows if row.flow == "egress" and "put" in row.messages for key in row.keys}
     assert {key.split("/")[-1] for key in taken if key.startswith("fleet/*/")} == {"stop"}
@@ -373,13 +355,13 @@ def test_a_robots_file_names_no_other_robot() -> None:
 
 @pytest.mark.parametrize("endpoints", [[], ["tcp/router.example:7447"], [ENDPOINT, "udp/router.example:7447"]])
 def test_an_endpoint_without_certificates_is_refused(endpoints: list[str]) -> None:
-    """Plain TCP in a provisioned file would let anybody in."""
+    """Plain TCP in a provisioned file would admit any client."""
     with pytest.raises(ValueError, match=r"tls|no endpoint"):
         zenoh_configuration(TransportRole.ROBOT, "fleet", DIRECTORY, endpoints, "cruiser-1")
 
 
 def who_may(flow: str, message: str, key: str) -> set[str]:
-    """The parties of the oracle whose message passes the router, by Zenoh's own key expressions."""
+    """The parties whose message passes the router, by Zenoh's own key expressions."""
     rows = [row for row in access_table("fleet") if row.flow == flow and message in row.messages]
     return {
         name for name, role in ROLES.items() if any(role in row.roles and _includes(row.keys, key) for row in rows)
@@ -391,7 +373,6 @@ def _includes(expressions: Iterable[str], key: str) -> bool:
 
 
 def test_the_table_is_the_oracle_of_the_tests_through_a_real_router() -> None:
-    """Who may put, ask and subscribe, whose token is seen, and what comes to the robot and back."""
     assert {key: who_may("ingress", "put", key) for key in PUTS} == PUTS
     assert {key: who_may("ingress", "declare_subscriber", key) for key in SUBSCRIPTIONS} == SUBSCRIPTIONS
     assert {key: who_may("ingress", "liveliness_token", key) for key in TOKENS} == TOKENS

@@ -28,7 +28,7 @@ QUESTION = b"who are you now?"
 
 
 class Pair:
-    """An operator and a robot of one fleet, with nothing but bytes between them."""
+    """An operator and a robot of one fleet, connected by bytes only."""
 
     def __init__(self, *, met: bool = True, **granted: Any) -> None:  # noqa: ANN401 - fields of a grant
         self.bench = AuthorityBench()
@@ -37,18 +37,15 @@ class Pair:
         self.refusal = self.meet() if met else None
 
     def new_proof(self) -> OperatorProof:
-        """The operator's half, which has met nobody."""
         return OperatorProof(self.ann.private, self.ann.chain, self.bench.fleet.trust, "fleet", lambda: NOW_S)
 
     def meet(self, question: bytes = QUESTION) -> Objection | None:
         return self.proof.meet("cruiser-1", self.shown(question), question)
 
     def believes(self, received: Received, **changes: Any) -> bool:  # noqa: ANN401 - what arrives
-        """The operator believes this, changed on its way."""
         return self.proof.believes("cruiser-1", msgspec.structs.replace(received, **changes))
 
     def leased(self, lease: int) -> tuple[Credentials, X25519PrivateKey, bytes, Received]:
-        """The robot gives this lease: its credentials, the private key, the request, and the reply."""
         private, public = new_lease_key()
         credentials, reply, request = self.ask(
             "acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(lease)
@@ -60,13 +57,11 @@ class Pair:
         return self.bench.authority
 
     def shown(self, question: bytes = QUESTION) -> Received:
-        """The robot's reply to the operator's statement."""
         raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement), attachment=question)
         reply = self.robot.receive(raw, self.bench.now_ns)
         return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
 
     def state(self, sequence: int, subject: str = "safety/state", boot: bytes = b"boot no1") -> Received:
-        """A state that the robot signed, in this run or another."""
         known, key = BY_NAME[subject], f"fleet/cruiser-1/{subject}"
         payload = msgspec.msgpack.encode({"time_ns": 1, "sequence": sequence})
         signer = RobotSigner(self.bench.robot.private, boot)
@@ -76,7 +71,6 @@ class Pair:
         self.robot.signer = RobotSigner(self.bench.robot.private, boot)
 
     def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:
-        """A verb, what the robot makes of it, its reply, and the attachment of the request."""
         self.bench.tick()
         attachment = self.proof.request("cruiser-1", verb, payload, CHALLENGE)
         admission = self.robot.admission
@@ -88,7 +82,6 @@ class Pair:
         return raw.credentials, received, attachment
 
     def drives(self, lease: int) -> Credentials:
-        """What the robot makes of a drive command."""
         payload = msgspec.msgpack.encode(
             Drive(lease=lease, seq=1, challenge=CHALLENGE, speed_mps=0.1, angle_deg=0)
         )
@@ -99,14 +92,12 @@ class Pair:
 
 
 def given(lease: int) -> bytes:
-    """The arbiter's reply that gives a lease."""
     return msgspec.msgpack.encode(
         LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0)
     )
 
 
 def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:
-    """It has no grant: the robot refuses the empty statement, and says who it is."""
     pair = Pair()
     viewer = ViewerProof(pair.bench.fleet.trust, "fleet", lambda: NOW_S)
     raw = RawRequest(1, "", "", viewer.statement, 0, attachment=QUESTION)
@@ -124,7 +115,6 @@ def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:
 
 
 def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
-    """Grant, signed verb, signed reply, and a stream under a key that only these two know."""
     pair = Pair()
     assert pair.refusal is None
     credentials, private, request, reply = pair.leased(9)
@@ -166,7 +156,6 @@ IMPOSTORS: dict[str, tuple[str, dict[str, Any], Objection | None]] = {
 
 @pytest.mark.parametrize("who", IMPOSTORS)
 def test_an_impostor_is_not_met(who: str) -> None:
-    """And it is said why, in words."""
     robot, changes, why = IMPOSTORS[who]
     pair = Pair(met=False)
     shown = pair.shown()
@@ -178,7 +167,6 @@ def test_an_impostor_is_not_met(who: str) -> None:
 
 
 def test_a_robot_of_another_fleet_and_a_person_who_poses_as_one_are_not_met() -> None:
-    """A grant is of a role, and of an authority."""
     pair = Pair(met=False)
     assert isinstance(pair.proof.meet("cruiser-1", Pair(met=False).shown(), QUESTION), Objection)
     own = StatementReply(True, Reason.NONE, "", "", own=pair.proof.statement.decode())  # noqa: FBT003
@@ -191,7 +179,6 @@ def test_a_robot_of_another_fleet_and_a_person_who_poses_as_one_are_not_met() ->
 
 
 def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
-    """So that a person without a grant can see who stops; its refusal is no doubt about who it is."""
     pair = Pair(not_after=NOW_S - 3)
     assert isinstance(pair.refusal, Objection)
     assert pair.refusal.reason is Reason.GRANT_EXPIRED
@@ -204,7 +191,6 @@ def test_a_robot_that_refuses_the_grant_is_known_all_the_same() -> None:
 
 
 def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
-    """Not for another request, nor with another key, encoding or payload."""
     pair = Pair()
     _, reply, request = pair.ask("renew", b"", b"done")
     assert pair.proof.is_reply("cruiser-1", reply, request)
@@ -221,7 +207,6 @@ def test_a_reply_is_believed_for_the_request_that_it_answers() -> None:
 
 
 def test_a_state_is_believed_from_the_robot_alone() -> None:
-    """Not when another publishes it, another key carries it, nor where it has no number or no proof."""
     pair = Pair()
     payload = b"\x80"  # any bytes will do
     signed = pair.bench.signer.publication(STATE_KEY, STATE.encoding, payload)
@@ -239,7 +224,6 @@ def test_a_state_is_believed_from_the_robot_alone() -> None:
 
 
 def test_a_reply_that_was_kept_meets_nobody() -> None:
-    """It answers the question that it was made for: who was met is there now, and says which run it is in."""
     pair = Pair(met=False)
     kept = pair.shown(b"asked yesterday.")
     for question in (QUESTION, b""):
@@ -264,7 +248,6 @@ def test_a_reply_that_was_kept_meets_nobody() -> None:
 def test_no_state_is_believed_twice_nor_an_older_one(
     subject: str, numbers: tuple[int, ...], believed: list[int]
 ) -> None:
-    """What is believed of a subject only becomes newer, also where the robot is met again."""
     pair = Pair()
     kept = {number: pair.state(number, subject) for number in numbers}
     assert [number for number in numbers if pair.believes(kept[number])] == believed
@@ -277,7 +260,7 @@ def test_no_state_is_believed_twice_nor_an_older_one(
 
 
 def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_in_it() -> None:
-    """A state of a former run is as well signed as that of a restarted robot: its reply to a question decides."""
+    """A replayed state of an earlier run is signed too: the robot's reply to a question decides."""
     pair = Pair()
     assert pair.believes(pair.state(1))
     assert not pair.proof.is_to_meet_again("cruiser-1")
@@ -301,7 +284,7 @@ def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_
 
 
 def test_a_flood_of_states_that_were_kept_costs_no_signatures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of another run is looked at, for the robot may be in it; then the robot is asked."""
+    """Only the first state of another run is verified, since the robot may have restarted."""
     pair = Pair()
     assert pair.believes(pair.state(1))
     looked_at: list[Received] = []
@@ -318,7 +301,6 @@ def test_a_flood_of_states_that_were_kept_costs_no_signatures(monkeypatch: pytes
 
 
 def test_nobody_but_the_robot_has_it_asked_again() -> None:
-    """A sample of another run that it did not sign is noise; so is one of a robot that was not met."""
     assert not Pair(met=False).proof.is_to_meet_again("cruiser-1")
     pair = Pair()
     other = pair.state(1, boot=b"boot no2")
@@ -327,7 +309,6 @@ def test_nobody_but_the_robot_has_it_asked_again() -> None:
 
 
 def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
-    """No proof in the reply, no key of the robot, or one with which anybody would know the secret."""
     pair = Pair()
     _, private, _, reply = pair.leased(9)
     public = new_lease_key()[1]
@@ -355,7 +336,6 @@ def test_no_key_is_agreed_on_where_one_half_is_missing() -> None:
     ids=lambda one: one.reason.value if isinstance(one, Objection) else "",
 )
 def test_why_a_robot_is_not_believed_is_said_with_the_cure(objection: Objection, text: str, cure: str) -> None:
-    """Dates and fingerprints show which side is wrong."""
     bench = AuthorityBench()
     unmet = not_believed(objection, bench.robot.chain, Fleet().trust)
     assert unmet.text.startswith(text.format(theirs=fingerprint(bench.fleet.authority.key)))

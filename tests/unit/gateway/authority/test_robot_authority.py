@@ -26,7 +26,6 @@ HOUR = 3600 * S
 
 
 def signed_statements(effects: AuthorityEffects) -> list[SignedStatement]:
-    """What a tick publishes of them."""
     samples = (one for one in effects.samples if one.subject == "authority/statement")
     decoded = [decode(BY_NAME[one.subject], one.payload) for one in samples]
     return [one for one in decoded if isinstance(one, SignedStatement)]
@@ -37,7 +36,6 @@ def statements(effects: AuthorityEffects) -> list[str]:
 
 
 def test_a_statement_is_answered_with_the_robots_own_grant() -> None:
-    """So that whoever asks learns the robot's key from the authority; handle and verb are the request's."""
     bench = AuthorityBench()
     reply = bench.show(bench.chain_of("ann"))
     assert (reply.ok, reply.own) == (True, bench.own)
@@ -54,7 +52,6 @@ def test_a_statement_is_answered_with_the_robots_own_grant() -> None:
 
 
 def test_grants_that_are_taken_over_are_published_once() -> None:
-    """And once a minute again while they are in use, for logs that begin later."""
     bench = AuthorityBench()
     ann = bench.chain_of("ann")
     bench.takes(ann, ann)
@@ -69,7 +66,6 @@ def test_grants_that_are_taken_over_are_published_once() -> None:
 
 
 def test_a_list_of_revocations_is_in_force_at_once_and_kept() -> None:
-    """Also after a restart; an older list never comes back."""
     bench = AuthorityBench()
     ann = bench.fleet.operator()
     revoked = bench.fleet.authority.revoke(5, keys=(ann.key,)).text()
@@ -86,7 +82,6 @@ def test_a_list_of_revocations_is_in_force_at_once_and_kept() -> None:
 
 
 def test_a_rotation_is_kept_and_ends_the_robots_own_grant_until_it_gets_a_new_one() -> None:
-    """The new authority grants it without anybody touching the robot."""
     bench, active, standby = AuthorityBench(), Party(), Party()
     bench.takes(bench.fleet.standby.rotate(1, active, standby))
     assert bench.bars().keys() == {Reason.GRANT_REVOKED}
@@ -120,7 +115,6 @@ shown = st.lists(
 @given(shown)
 @settings(max_examples=5 * settings().max_examples)
 def test_a_restart_trusts_as_the_robot_did(taken: list[Shown]) -> None:
-    """Whatever was revoked and rotated, also back to a key of before, and whoever of the two keys signed it."""
     fleet = Fleet()
     keys = [fleet.authority, fleet.standby, Party("third")]
     person = Party("ann")
@@ -143,7 +137,6 @@ def test_a_restart_trusts_as_the_robot_did(taken: list[Shown]) -> None:
 
 
 def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
-    """Whoever shows it again learns that the robot has it, not that its signature is wrong."""
     bench = AuthorityBench()
     new, newer = Fleet(), Fleet()
     first = bench.fleet.standby.rotate(1, new.authority, new.standby).text()
@@ -159,7 +152,7 @@ def test_a_rotation_that_it_has_is_no_news_also_after_the_next_one() -> None:
 
 
 def learnt(fleet: Fleet, new: Fleet) -> Kept:
-    """What a robot of the first fleet has learnt: a rotation to the other, and what that one revoked."""
+    """The stored state of a robot of the first fleet: a rotation to the other, and that one's revocations."""
     bench = AuthorityBench(fleet, since(fleet))
     bench.takes(fleet.standby.rotate(1, new.authority, new.standby), new.authority.revoke(1, keys=(b"x" * 32,)))
     kept = bench.tick().kept
@@ -175,7 +168,6 @@ def since(fleet: Fleet) -> Kept:
 
 
 def test_keys_that_a_rotation_led_to_go_on_with_what_was_learnt() -> None:
-    """A bundle of the new authority comes after its rotation; what it revoked meanwhile stays revoked."""
     fleet, new = Fleet(), Fleet()
     kept = learnt(fleet, new)
     for provisioned in (fleet.trust, new.trust):
@@ -186,7 +178,6 @@ def test_keys_that_a_rotation_led_to_go_on_with_what_was_learnt() -> None:
 
 
 def test_keys_of_another_authority_begin_anew() -> None:
-    """Whoever installs them has the robot in his hands. What the former authority said ends with it."""
     kept, other = learnt(Fleet(), Fleet()), Fleet()
     damaged = msgspec.structs.replace(kept, revocations="x")
     for found in (kept, damaged):
@@ -194,7 +185,6 @@ def test_keys_of_another_authority_begin_anew() -> None:
 
 
 def test_a_damaged_note_does_not_begin_anew() -> None:
-    """Under the keys that it is of, what was revoked must not be forgotten."""
     fleet, new = Fleet(), Fleet()
     kept = learnt(fleet, new)
     change = msgspec.structs.replace
@@ -203,7 +193,6 @@ def test_a_damaged_note_does_not_begin_anew() -> None:
 
 
 def test_nobody_engages_before_the_self_test_has_passed_nor_while_nothing_can_be_saved() -> None:
-    """Both say why, at once and once: a robot that is switched off and on would forget what was revoked."""
     bench = AuthorityBench()
     bench.authority.self_test = "it is under way"
     assert bench.bars() == {Reason.SELF_TEST: "it is under way"}
@@ -230,7 +219,6 @@ def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own(
     is_its_key: bool,  # noqa: FBT001 - a column
     changes: dict[str, Any],
 ) -> None:
-    """However long it holds."""
     bench = AuthorityBench()
     own, other = bench.own, Party("cruiser-1" if is_its_key else "cruiser-2")
     if is_its_key:
@@ -240,7 +228,6 @@ def test_a_grant_of_another_robot_or_of_a_person_is_not_its_own(
 
 
 def test_the_floor_of_time_outlives_a_restart() -> None:
-    """It is saved at once: a robot that is switched off and on, with its clock set back, revives no grant."""
     bench = AuthorityBench()
     bench.tick()
     assert bench.tick().kept is None
@@ -257,7 +244,6 @@ def test_the_floor_of_time_outlives_a_restart() -> None:
 
 
 def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
-    """What the robot signs would convince nobody, so it does not arm; the journal keeps each change."""
     bench = AuthorityBench()
     bench.wall_s = NOW_S + DAY_S + 1
     bars = [bench.tick().bars for _ in range(5)]
@@ -269,8 +255,6 @@ def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
 
 
 class Holding:
-    """A robot whose lease somebody holds."""
-
     def __init__(self) -> None:
         self.bench = AuthorityBench()
         self.ann = self.bench.fleet.operator()
@@ -289,7 +273,6 @@ KEY = "fleet/cruiser-1/@cmd/ann/acquire"
 
 
 def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
-    """The loop stops the robot by it: by a list, or by a rotation."""
     for why in ("by list 1", "its authority was replaced"):
         holding = Holding()
         assert holding.bench.tick().ended is None
@@ -302,7 +285,6 @@ def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
 
 
 def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
-    """Also in the minute in which another statement came; the grants of others are not."""
     holding = Holding()
     bench = holding.bench
     bench.takes(bench.chain_of("bob"))
@@ -312,7 +294,7 @@ def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
 
 
 def test_rotations_are_published_again_and_a_list_as_long_as_it_is_in_force() -> None:
-    """So that a log of any time leads from the authority that was known before to the one that counts."""
+    """A log of any time leads from the former authority to the current one."""
     bench, active, standby = AuthorityBench(), Party(), Party()
     bench.takes(former := bench.fleet.authority.revoke(1).text())
     assert statements(bench.tick(61 * S)) == [former, bench.own, former]
@@ -338,7 +320,6 @@ def test_a_clock_that_is_set_back_revives_no_grant_although_nobody_states_the_ti
 
 
 def test_nobody_takes_the_robots_own_grant_away() -> None:
-    """It is public: whoever shows it again under other signatures, or the one before it, changes nothing."""
     bench = AuthorityBench()
     former = bench.own
     own = bench.regrant(not_after=NOW_S + 2 * DAY_S)
@@ -357,7 +338,7 @@ def test_nobody_takes_the_robots_own_grant_away() -> None:
 
 
 def test_a_new_authority_says_what_time_it_is() -> None:
-    """Whoever stole the former one's key may have dated a list in the year 3000, by which every grant is over."""
+    """A thief of the former authority's key may have dated a list far ahead, which expires every grant."""
     bench, active, standby = AuthorityBench(), Party(), Party()
     bench.takes(bench.fleet.authority.revoke(1, at=NOW_S + 10**10))
     assert bench.bars().keys() == {Reason.GRANT_EXPIRED}
@@ -372,7 +353,6 @@ def test_a_new_authority_says_what_time_it_is() -> None:
 
 
 def test_a_clock_that_is_set_back_revives_nothing_and_one_set_forward_only_ends_things() -> None:
-    """The later of the wall clock and the floor counts, each time; from the floor the machine's own time."""
     floor = TimeFloor(1000, 0)
     assert floor.now_s(7 * S, wall_s=0) == 1007
     assert floor.now_s(7 * S, wall_s=5000) == 5000
@@ -381,7 +361,6 @@ def test_a_clock_that_is_set_back_revives_nothing_and_one_set_forward_only_ends_
 
 @given(st.lists(st.tuples(st.integers(0, 100), st.integers(0, 5000), st.integers(0, 5000)), max_size=20))
 def test_the_floor_never_falls_while_the_machine_runs(steps: list[tuple[int, int, int]]) -> None:
-    """Whatever was stated, and whatever the wall clock says."""
     floor, boot_ns, before_s = TimeFloor(1000, 0), 0, 0
     for elapsed_s, stated_s, wall_s in steps:
         boot_ns += elapsed_s * S
@@ -397,14 +376,13 @@ BENCH = AuthorityBench()
 
 
 def granted(fleet: Fleet, name: str = "cruiser-1", **changes: Any) -> Party:  # noqa: ANN401 - fields of a grant
-    """A robot with a new key, and a grant."""
     robot = Party(name)
     fleet.authority.grant(robot, **({"role": GrantRole.ROBOT, "robots": [name]} | changes))
     return robot
 
 
 def counts(party: Party, now_s: int = NOW_S, bench: AuthorityBench = BENCH) -> bool:
-    """Does the answer of a gateway with this party's keys count at the robot?"""
+    """Return True if the robot accepts an answer of a gateway with this party's keys."""
     signer = RobotSigner(party.private, b"boot no2")
     proof = NameProof(Settings(), signer, bench.authority.admission, lambda: party.chain)
     attachment = proof.attachment(PAYLOAD, QUESTION)
@@ -412,7 +390,6 @@ def counts(party: Party, now_s: int = NOW_S, bench: AuthorityBench = BENCH) -> b
 
 
 def test_a_gateway_with_the_robots_key_or_a_grant_for_its_name_is_a_namesake() -> None:
-    """Whatever the clocks say; the computer that it had before too, until its key is revoked."""
     bench = AuthorityBench()
     former = granted(bench.fleet)
     assert all(counts(party, now_s, bench) for party in (bench.robot, former) for now_s in (0, NOW_S))
@@ -432,14 +409,12 @@ def test_a_gateway_with_the_robots_key_or_a_grant_for_its_name_is_a_namesake() -
     ],
 )
 def test_nobody_else_is(other: Party) -> None:
-    """Nor is any of them who shows the robot's own chain, which is public, without its key."""
     assert not counts(other)
     other.chain = BENCH.robot.chain
     assert not counts(other)
 
 
 def test_an_answer_answers_one_question() -> None:
-    """Whoever kept an answer of the robot itself, or made one of parts, cannot pass for it."""
     proof, chain = BENCH.authority.name_proof, chain_text(granted(BENCH.fleet).chain).encode()
     attachment = proof.attachment(PAYLOAD, QUESTION)
     for payload, shown, question, is_one in (
@@ -456,5 +431,4 @@ def test_an_answer_answers_one_question() -> None:
 
 @given(st.binary(max_size=400))
 def test_whatever_is_answered_under_its_name_breaks_nothing(attachment: bytes) -> None:
-    """It comes from anybody."""
     assert not BENCH.authority.name_proof.is_namesake(PAYLOAD, attachment, QUESTION, NOW_S)

@@ -37,7 +37,6 @@ DAY_S = 86_400
 
 @pytest.mark.parametrize("role", list(TransportRole))
 def test_a_certificate_says_role_and_name_and_what_it_is_for(role: TransportRole) -> None:
-    """Only a router's and a desk's serves; none may sign others."""
     ca, key = new_key(), new_key()
     authority = new_authority(ca, NOW_S)
     made = issue(new_request(key, role.value, ["one.example", "10.0.0.5", "::1"]), role, authority, ca, NOW_S)
@@ -55,7 +54,6 @@ def test_a_certificate_says_role_and_name_and_what_it_is_for(role: TransportRole
 
 
 def test_a_certificate_does_not_outlive_its_authority() -> None:
-    """One that is over signs nothing."""
     ca, key = new_key(), new_key()
     authority = new_authority(ca, NOW_S)
     end_s = expires_s(read_certificates(authority)[0])
@@ -67,7 +65,6 @@ def test_a_certificate_does_not_outlive_its_authority() -> None:
 
 
 def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *, named: bool, common: str) -> str:
-    """A request as somebody else's tool would make it."""
     builder = x509.CertificateSigningRequestBuilder().subject_name(
         x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
     )
@@ -88,13 +85,11 @@ def made_by_hand(key: ec.EllipticCurvePrivateKey | ed25519.Ed25519PrivateKey, *,
     ],
 )
 def test_a_request_that_is_none_is_refused(text: str, says: str) -> None:
-    """Each with its reason."""
     with pytest.raises(EnrolmentError, match=says):
         read_request(text)
 
 
 def test_a_request_is_signed_by_its_own_key() -> None:
-    """A byte that is changed anywhere is seen."""
     der = bytearray(
         x509.load_pem_x509_csr(new_request(new_key(), "viewer", ["hall"]).encode()).public_bytes(Encoding.DER)
     )
@@ -109,7 +104,6 @@ def test_a_request_is_signed_by_its_own_key() -> None:
 
 
 def router_of(place: Path) -> Path:
-    """The Zenoh file of a router of a new network, with all that belongs to it."""
     place.mkdir(exist_ok=True)
     return Network(place, "tls/127.0.0.1:47447").node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
 
@@ -124,20 +118,18 @@ def ends_s(file: Path) -> int:
 
 
 def refused(file: Path, now_s: float, says: str) -> None:
-    """The files of a router are not taken, for this."""
     with pytest.raises(CommandError, match=says):
         check_tls_files(file, "router", now_s)
 
 
 def test_files_that_fit_are_taken_and_an_end_that_is_near_is_said(file: Path) -> None:
-    """From two thirds of a certificate's life on."""
     assert check_tls_files(file, "router", ends_s(file) - RENEW_S - 60) == ""
     assert "'cruiser provision renew router'" in check_tls_files(file, "router", ends_s(file) - RENEW_S + 60)
 
 
 @pytest.mark.parametrize("name", ["router-tls.key", "router-tls.pem", "ca.pem"])
 def test_a_file_that_is_missing_or_damaged_is_named(file: Path, name: str) -> None:
-    """Zenoh says that some file or directory is not there."""
+    """Zenoh's own error names no file."""
     wrong, now_s = file.with_name(name), ends_s(file) - DAY_S
     wrong.write_text("damaged")
     wrong.chmod(0o600)
@@ -147,7 +139,7 @@ def test_a_file_that_is_missing_or_damaged_is_named(file: Path, name: str) -> No
 
 
 def test_a_certificate_of_another_key_and_one_that_is_over_are_named(file: Path, tmp_path: Path) -> None:
-    """With the first nobody connects, and with the second neither; Zenoh opens with both."""
+    """Zenoh opens with both, and no session connects."""
     refused(file, ends_s(file) + DAY_S, r"router-tls\.pem ended 1\.0 days ago; 'cruiser provision renew router'")
     other = router_of(tmp_path / "other").parent
     file.with_name("router-tls.pem").write_bytes((other / "router-tls.pem").read_bytes())
@@ -157,7 +149,6 @@ def test_a_certificate_of_another_key_and_one_that_is_over_are_named(file: Path,
 
 
 def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
-    """A file that is missing; a clock that is behind all certificates. Where nothing is wrong nothing is said."""
     begins = begins_s(read_certificates(file.with_name("router-tls.pem").read_text())[0])
     assert why_shut_out(file, begins + 1) == ""
     assert "begins in 2.0 days by this computer's clock: the clock is behind, set it" in why_shut_out(
@@ -169,7 +160,6 @@ def test_why_no_session_opened_is_looked_for_in_its_files(file: Path) -> None:
 
 @pytest.mark.parametrize("name", ["router.json5", "router-tls.key", "router-tls.pem", "ca.pem"])
 def test_a_fifo_is_not_waited_for(file: Path, name: str) -> None:
-    """Zenoh would read it for ever."""
     check_kinds(file)
     wrong = file.with_name(name)
     wrong.unlink()

@@ -29,12 +29,10 @@ Damage = Callable[[Path], object]
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    """The directory of an operator."""
     return provision(tmp_path / "ann", "operator", ANN, FLEET)
 
 
 def fault(place: Path) -> str:
-    """The line about what is wrong, without the directory."""
     with pytest.raises(CommandError) as caught:
         read_identity(place, "operator")
     assert caught.value.code is ExitCode.USAGE
@@ -42,7 +40,6 @@ def fault(place: Path) -> str:
 
 
 def test_files_that_belong_together_are_an_identity(place: Path) -> None:
-    """Key, grant, authority."""
     found = read_identity(place, "operator")
     assert found.private.public_key().public_bytes_raw() == ANN.key
     assert (found.chain, found.trust, read_trust(place)) == (ANN.chain, FLEET.trust, FLEET.trust)
@@ -83,7 +80,6 @@ def test_files_that_belong_together_are_an_identity(place: Path) -> None:
     ],
 )
 def test_each_fault_is_one_line_with_the_cure_of_its_kind(place: Path, damage: Damage, line: str) -> None:
-    """A key is made here; grant and authority are the authority's answer. None is a link to other pages."""
     damage(place)
     text = fault(place)
     assert text.startswith(line)
@@ -93,14 +89,12 @@ def test_each_fault_is_one_line_with_the_cure_of_its_kind(place: Path, damage: D
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
 def test_a_key_of_another_user_is_refused(place: Path) -> None:
-    """Who owns it can read it, and change it."""
     os.chown(place / "operator.key", 65534, 65534)
     assert fault(place) == "operator.key belongs to another user; chown it to yours"
 
 
 @pytest.mark.parametrize("name", ["operator.key", "operator.grant", "authority.json"])
 def test_what_is_no_regular_file_is_not_waited_for(place: Path, name: str) -> None:
-    """A FIFO that nobody writes, a directory, a device that never ends."""
     file = place / name
     makers: tuple[Callable[[], None], ...] = (
         lambda: os.mkfifo(file, 0o600),
@@ -125,6 +119,5 @@ def test_what_is_no_regular_file_is_not_waited_for(place: Path, name: str) -> No
 def test_the_directory_of_keys_is_the_settings_or_of_the_desktop(
     directory: str, environment: dict[str, str], found: str
 ) -> None:
-    """As the XDG Base Directory Specification has it."""
     settings = AuthoritySettings(directory=directory)
     assert directory_of(settings, environment, PurePath("/home/ann")) == PurePath(found)

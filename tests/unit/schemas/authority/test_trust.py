@@ -27,18 +27,15 @@ from tests.support.authority import DAY_S, NOW_S, Fleet, Party
 
 
 def reason_of(outcome: object) -> Reason:
-    """Why something was refused; NONE if it was not."""
     return outcome.reason if isinstance(outcome, Objection) else Reason.NONE
 
 
 def held(outcome: HeldGrant | Objection) -> HeldGrant:
-    """A grant that has to hold."""
     assert isinstance(outcome, HeldGrant), outcome
     return outcome
 
 
 def test_a_grant_of_the_authority_holds() -> None:
-    """With the key and the limits that it names."""
     fleet = Fleet()
     ann = fleet.operator(speed_limit_mps=0.8)
     grant = held(fleet.trust.judge(ann.chain, NOW_S))
@@ -47,7 +44,6 @@ def test_a_grant_of_the_authority_holds() -> None:
 
 @pytest.mark.parametrize("depth", [1, 2])
 def test_what_a_site_granted_holds_no_more(depth: int) -> None:
-    """As an earlier version made it, whole or cut: the authority alone grants, and the refusal says what to do."""
     fleet, ann, signer = Fleet(), Party("ann"), Fleet().authority
     signer = fleet.site(may_delegate=depth)
     if depth == 2:
@@ -64,7 +60,6 @@ STRANGE = "it is not signed by the authority that is known here"
 
 
 def forged(fleet: Fleet) -> list[Signed]:
-    """A grant with a signature of zeros."""
     return [msgspec.structs.replace(fleet.operator().chain[0], signature=bytes(64))]
 
 
@@ -94,7 +89,6 @@ def forged(fleet: Fleet) -> list[Signed]:
     ],
 )
 def test_a_chain_that_does_not_hold(chain: Callable[[Fleet], list[Signed]], reason: Reason, detail: str) -> None:
-    """What is wrong with it, in words."""
     fleet = Fleet()
     found = chain(fleet)
     assert fleet.trust.judge(found, NOW_S) == Objection(reason, detail)
@@ -102,13 +96,11 @@ def test_a_chain_that_does_not_hold(chain: Callable[[Fleet], list[Signed]], reas
 
 
 def changed(outcome: Trust | Objection) -> Trust:
-    """A trust that a statement has changed."""
     assert isinstance(outcome, Trust), outcome
     return outcome
 
 
 def test_lists_and_rotations_that_are_refused() -> None:
-    """Another kind of statement, another signer, an older one or the same again, the authority's own key."""
     fleet, stranger, active = Fleet(), Party(), Party("active")
     kept = fleet.standby.rotate(1, fleet.authority, stranger)
     assert fleet.trust.rotate(kept) == Objection(Reason.MALFORMED, SAME_AUTHORITY)
@@ -132,7 +124,6 @@ def test_lists_and_rotations_that_are_refused() -> None:
 
 
 def test_an_epoch_never_falls_under_one_authority() -> None:
-    """Another authority begins with one of its own: all that the former one granted has ended with it."""
     fleet = Fleet()
     trust = fleet.trust
     for serial, epoch in ((1, 5), (2, 4)):
@@ -143,7 +134,6 @@ def test_an_epoch_never_falls_under_one_authority() -> None:
 
 @given(place=st.integers(0, 10_000), bit=st.integers(0, 7), part=st.sampled_from(["body", "signature"]))
 def test_a_bit_that_is_changed_anywhere_ends_a_grant(place: int, bit: int, part: str) -> None:
-    """In its body or in its signature."""
     changed = bytearray(getattr(ANN.chain[0], part))
     changed[place % len(changed)] ^= 1 << bit
     chain = [msgspec.structs.replace(ANN.chain[0], **{part: bytes(changed)})]
@@ -158,7 +148,6 @@ FLEET.authority.grant(ANN)
 
 @pytest.mark.parametrize("offset_s", [-1, 0, DAY_S, DAY_S + 1])
 def test_a_grant_holds_from_its_first_to_its_last_second(offset_s: int) -> None:
-    """Both included."""
     fleet = Fleet()
     ann = fleet.operator(not_before=NOW_S, not_after=NOW_S + DAY_S)
     expected = Reason.NONE if 0 <= offset_s <= DAY_S else Reason.GRANT_EXPIRED
@@ -166,7 +155,6 @@ def test_a_grant_holds_from_its_first_to_its_last_second(offset_s: int) -> None:
 
 
 def test_a_revoked_grant_ends() -> None:
-    """By its identifier, by its holder's key, or by epoch."""
     fleet = Fleet()
     ann = fleet.operator()
     anns = held(fleet.trust.judge(ann.chain, NOW_S))
@@ -186,7 +174,6 @@ def test_a_revoked_grant_ends() -> None:
 
 
 def test_the_standby_key_replaces_a_stolen_authority() -> None:
-    """All that the old key signed ends; nobody but the standby key can do it."""
     fleet, active, standby = Fleet(), Party("active"), Party("standby")
     ann = fleet.operator()
     anns = held(fleet.trust.judge(ann.chain, NOW_S))
@@ -208,7 +195,6 @@ def test_the_standby_key_replaces_a_stolen_authority() -> None:
 
 
 def test_a_thief_of_the_authority_bars_nobody_from_the_next_one() -> None:
-    """Its list revokes the robot under the highest serial and epoch; after the rotation none of it counts."""
     fleet, active, standby, robot = Fleet(), Party("active"), Party("standby"), Party("cruiser-1")
     highest = 2**53 - 1
     stolen = fleet.trust.revoke(fleet.authority.revoke(highest, keys=(robot.key,), epoch=highest))
@@ -225,13 +211,11 @@ def test_a_thief_of_the_authority_bars_nobody_from_the_next_one() -> None:
 
 @given(st.binary(max_size=400))
 def test_whatever_is_no_chain_is_a_fault_and_no_exception(text: bytes) -> None:
-    """It comes from anyone."""
     assert isinstance(read_chain(text), StatementFault)
 
 
 @given(st.integers(0, 10_000), st.binary(max_size=3))
 def test_a_damaged_chain_never_raises_nor_holds(place: int, instead: bytes) -> None:
-    """Wherever it is damaged."""
     text = chain_text(SITE_CHAIN).encode()
     at = place % len(text)
     damaged = text[:at] + instead + text[at + max(1, len(instead)) :]
@@ -255,13 +239,11 @@ def test_a_damaged_chain_never_raises_nor_holds(place: int, instead: bytes) -> N
     ],
 )
 def test_a_pattern_covers_whole_names(pattern: str, robot: str, *, is_covered: bool) -> None:
-    """The star stands for any letters, nothing else for any other."""
     fields = {"serial": 1, "name": "a", "key": "", "role": GrantRole.OPERATOR, "not_before": 0, "not_after": 0}
     assert Grant(robots=[pattern], **fields).covers(robot) is is_covered  # type: ignore[arg-type]
 
 
 def test_a_statement_is_the_authority_s_if_it_or_its_standby_signed_it() -> None:
-    """Also one that is over; that of a stranger, or one that was changed, is not."""
     fleet, stranger = Fleet(), Fleet()
     ann = fleet.operator(not_after=NOW_S - DAY_S)
     rotation = fleet.standby.rotate(1, Party(), Party())
@@ -274,14 +256,14 @@ def test_a_statement_is_the_authority_s_if_it_or_its_standby_signed_it() -> None
 @pytest.mark.parametrize("sign", [0, 0x80])
 @pytest.mark.parametrize("key", sorted(SMALL_ORDER), ids=bytes.hex)
 def test_no_signature_fits_a_key_of_small_order(key: bytes, sign: int) -> None:
-    """One of zeros fits a part of all texts, or all of them, although nobody made it."""
+    """A signature of zeros fits some or all texts with such a key."""
     nobodys = b"\x01" + bytes(63)
     found = [fits(key[:31] + bytes([key[31] | sign]), nobodys, bytes([text])) for text in range(64)]
     assert not any(found)
 
 
 def test_texts_that_are_no_chain() -> None:
-    """In words; a field that is not known may restrict. The longest text and chain that are read are read."""
+    """An unknown field may be a restriction."""
     line = Fleet().operator().chain[0].text()
     assert isinstance(read_chain(line.encode() * STATEMENTS_MAX), list)
     assert isinstance(read_chain(line.encode() + b"\n" * (TEXT_MAX_BYTES - len(line))), list)
@@ -328,7 +310,7 @@ STATEMENTS = [
     ],
 )
 def test_no_text_in_a_statement_has_a_line_end_behind_it(statement: Statement, field: str) -> None:
-    """A key or a name with one would be another than that which was limited, or revoked."""
+    """A key with a line end would differ from the revoked one."""
     value = getattr(statement, field)
     changed = msgspec.structs.replace(
         statement, **{field: f"{value}\n" if isinstance(value, str) else [f"{value[0]}\n"]}

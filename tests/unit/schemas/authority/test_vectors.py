@@ -36,8 +36,6 @@ LEASE_KEY = bytes.fromhex(VECTORS["drive"]["lease_key"])
 
 
 class Vector(NamedTuple):
-    """A request, a reply or a sample."""
-
     key: str
     encoding: str
     payload: bytes
@@ -52,7 +50,7 @@ def vector(name: str) -> Vector:
 
 
 def frame(kind: bytes, *parts: bytes) -> bytes:
-    """The signed text, by the description in docs/authority.md and by nothing else."""
+    """The signed text, by the description in docs/proof.md only."""
     return b"cruiser-auth-1\0" + kind + b"".join(len(part).to_bytes(4, "big") + part for part in parts)
 
 
@@ -71,7 +69,6 @@ def tag(text: bytes) -> bytes:
     ],
 )
 def test_each_kind_is_laid_out_as_its_page_says(name: str, kind: bytes, size: int, head: bytes) -> None:
-    """Version, grant, fields, signature or tag. A reply is signed over the attachment of its request too."""
     one = vector(name)
     if kind == b"S":
         head = hashlib.sha256(VECTORS["statement"]["body"].encode()).digest()[:8] + head
@@ -88,7 +85,6 @@ def test_each_kind_is_laid_out_as_its_page_says(name: str, kind: bytes, size: in
 
 
 def test_the_code_makes_the_same() -> None:
-    """Ed25519 and HMAC give the same bytes each time; both ends agree on the key of the lease."""
     request, verb, reply, said, drive = map(vector, ("request", "verb", "reply", "publication", "drive"))
     ours, robots = (X25519PrivateKey.from_private_bytes(SEEDS[f"lease of {who}"]) for who in ("ann", "robot"))
     for private, other in ((ours, robots), (robots, ours)):
@@ -111,7 +107,6 @@ def test_the_code_makes_the_same() -> None:
 
 
 def test_a_statement_a_request_to_be_let_in_and_a_bundle_are_the_same() -> None:
-    """Their texts, identifiers, signatures and fingerprints."""
     statement, enrolment, bundle = VECTORS["statement"], VECTORS["enrolment"], VECTORS["bundle"]
     chain = read_chain(statement["text"].encode())
     assert not isinstance(chain, StatementFault)
