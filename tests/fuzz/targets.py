@@ -311,6 +311,8 @@ def key_expressions(data: bytes) -> None:
     operator, verb = keys.parse_command(key)
     if operator:
         assert keys.command("fleet", "cruiser-1", operator, verb).endswith(f"/{operator}/{verb}")
+    assert "/" not in verb
+    assert not verb or key.endswith(f"/{verb}")
     robot = keys.robot_of_liveliness("fleet", key)
     assert robot is None or keys.liveliness("fleet", robot) == key
 
@@ -427,6 +429,10 @@ SEEDS: Final[dict[Callable[[bytes], None], Sequence[bytes]]] = {
         b"fleet/@recorder/depot/health",
         b"fleet/cruiser-1/@cmd/ann/drive",
         b"fleet/cruiser-1/gateway",
+        b"fleet/cruiser-1/state\n",
+        b"fleet/cruiser-1/@cmd/first/stop\n",
+        b"fleet/cruiser-1/@cmd/*/stop",
+        b"fleet/@cmd/first/@cmd/second/stop",
     ],
     candump_lines: [
         b"(1436509052.249713) vcan0 18C4D1EF#0104000000000005",

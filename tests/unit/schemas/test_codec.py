@@ -42,15 +42,6 @@ def test_nothing_makes_decoding_raise(kind: Kind, payload: bytes, value: object)
     assert is_whole_request or isinstance(read(kind, msgpack.packb(value)), PayloadFault)
 
 
-@given(pair=PAIRS, data=st.data())
-def test_no_damage_makes_decoding_raise(pair: tuple[Kind, Message | Request], data: st.DataObject) -> None:
-    kind, message = pair
-    payload = bytearray(encode(message))
-    payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
-    answer = read(kind, bytes(payload[: data.draw(st.integers(0, len(payload)))]))
-    assert is_message_or_fault(kind, answer)
-
-
 LIES = [b"\xdd", b"\xdf", b"\xdb", b"\xc6", b"\x81\xa5lease\xdd", b"\x81\xa4role\xdb"]
 """Lists, maps, texts or bytes that claim four thousand million parts, and have none."""
 BOMBS = [b"\x91" * depth + b"\xc0" for depth in (100, 10_000, 1_000_000)]
@@ -66,35 +57,31 @@ def test_neither_depth_nor_a_false_length_makes_decoding_a_request_raise(command
         assert isinstance(decode_request(command, payload), PayloadFault)
 
 
-GEAR = Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE)
-
-
-def gear_payload(**fields: object) -> bytes:
-    good: dict[str, object] = msgpack.unpackb(encode(GEAR))
-    payload: bytes = msgpack.packb(good | fields)
-    return payload
+GEAR = msgpack.unpackb(
+    encode(Gear(time_ns=1, sequence=2, alive_counter=3, active=True, gear_position=GearPosition.DRIVE))
+)
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("field", "value"),
     [
-        {"alive_counter": 16},
-        {"alive_counter": 1.5},
-        {"sequence": -1},
-        {"time_ns": 2**63},
-        {"active": 1},
-        {"active": None},
-        {"gear_position": "flying"},
+        ("alive_counter", 16),
+        ("alive_counter", 1.5),
+        ("sequence", -1),
+        ("time_ns", 2**63),
+        ("active", 1),
+        ("active", None),
+        ("gear_position", "flying"),
     ],
 )
-def test_a_value_out_of_bounds_is_a_fault_that_names_the_field(fields: dict[str, object]) -> None:
-    fault = decode(BY_TYPE[Gear], gear_payload(**fields))
+def test_a_value_of_a_message_out_of_bounds_is_a_fault_that_names_the_field(field: str, value: object) -> None:
+    fault = decode(BY_TYPE[Gear], msgpack.packb(GEAR | {field: value}))
     assert isinstance(fault, PayloadFault)
-    assert next(iter(fields)) in fault.detail
+    assert field in fault.detail
 
 
-CHALLENGE = b"challeng"
-DRIVE = REQUESTS["drive"]
+NO_WHOLE_NUMBERS = (-1, 2**53, 2**64 - 1, -(2**63), 1.5, 1e300, True, None, "1", [1])
+NO_CHALLENGES = (b"", bytes(7), bytes(9), "challeng", 8, [8])
 
 
 def judge(verb: str, fields: object) -> Request | PayloadFault:
@@ -102,43 +89,27 @@ def judge(verb: str, fields: object) -> Request | PayloadFault:
 
 
 @pytest.mark.parametrize(
-    ("verb", "field"),
+    ("verb", "field", "values"),
     [
-        *(("drive", field) for field in ("speed_mps", "angle_deg", "curvature_1pm", "yaw_rate_radps")),
-        ("engage", "speed_limit_mps"),
+        *(
+            ("drive", field, (nan, inf, -inf))
+            for field in ("speed_mps", "angle_deg", "curvature_1pm", "yaw_rate_radps")
+        ),
+        ("engage", "speed_limit_mps", (nan, inf, -inf)),
+        *(("drive", field, NO_WHOLE_NUMBERS) for field in ("lease", "seq")),
+        *((verb, "challenge", NO_CHALLENGES) for verb in ("drive", "engage", "reset")),
+        *((command.verb, "novelty", (1,)) for command in COMMANDS),
     ],
 )
-@pytest.mark.parametrize("number", [nan, inf, -inf])
-def test_a_number_that_is_none_is_a_fault_that_names_the_field(verb: str, field: str, number: float) -> None:
-    assert judge(verb, REQUESTS[verb] | {field: number}) == PayloadFault(f"{field} is not a finite number")
-
-
-@pytest.mark.parametrize("field", ["lease", "seq"])
-@pytest.mark.parametrize("number", [-1, 2**53, 2**64 - 1, -(2**63), 1.5, 1e300, True, None, "1", [1]])
-def test_a_whole_number_has_bounds(field: str, number: object) -> None:
-    fault = judge("drive", DRIVE | {field: number})
-    assert isinstance(fault, PayloadFault)
-    assert field in fault.detail
-
-
-@pytest.mark.parametrize("verb", ["drive", "engage", "reset"])
-@pytest.mark.parametrize("challenge", [b"", bytes(7), bytes(9), "challeng", 8, [8]])
-def test_a_challenge_is_eight_bytes(verb: str, challenge: object) -> None:
-    """Row 'command age, by echo': nothing else is one."""
-    fields = REQUESTS[verb]
-    fault = judge(verb, fields | {"challenge": challenge})
-    assert isinstance(fault, PayloadFault)
-    assert "challenge" in fault.detail
-    assert not isinstance(judge(verb, fields | {"challenge": CHALLENGE}), PayloadFault)
-
-
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
-def test_a_request_with_a_field_that_is_not_known_is_refused(command: Command) -> None:
-    fields = REQUESTS[command.verb]
-    assert isinstance(judge(command.verb, fields), command.request)
-    fault = judge(command.verb, fields | {"novelty": 1})
-    assert isinstance(fault, PayloadFault)
-    assert "novelty" in fault.detail
+def test_a_wrong_field_of_a_request_is_a_fault_that_names_it(
+    verb: str, field: str, values: tuple[object, ...]
+) -> None:
+    """Row 'command age, by echo': a challenge is 8 bytes. Numbers are finite, and exact in every language."""
+    assert isinstance(judge(verb, REQUESTS[verb]), BY_VERB[verb].request)
+    for value in values:
+        fault = judge(verb, REQUESTS[verb] | {field: value})
+        assert isinstance(fault, PayloadFault)
+        assert field in fault.detail
 
 
 @pytest.mark.parametrize("verb", ["acquire", "take", "stop"])

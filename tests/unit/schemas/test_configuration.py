@@ -245,10 +245,6 @@ def test_a_configuration_out_of_a_log_is_no_longer_than_any_of_ours(text: str) -
 # Profiles of thin links: what is in each, and the rules that Zenoh gets.
 
 
-NEEDED = {"safety/state", "safety/event", "state", "gateway/health", "authority/statement"}
-"""Subjects without which nobody sees how a robot is, or who may command it."""
-
-
 def test_events_are_never_reduced_nor_what_an_operator_drives_by() -> None:
     assert all("safety/event" not in rates for rates in PROFILES.values())
     assert PROFILES[OPERATOR]["safety/state"] >= 20

@@ -29,25 +29,12 @@ def test_parsing_undoes_building(root: str, robot: str, subject: Subject, bus: s
     assert keys.parse(key) == keys.KeyParts(root, robot, subject, own_bus)
 
 
-@given(key=st.text() | st.text("abc0-_./*$#?{}@ \n"))
-@example(key="fleet/cruiser-1/state\n")
-def test_no_text_makes_parsing_raise(key: str) -> None:
-    parts = keys.parse(key)
-    assert parts is None or keys.build(parts.root, parts.robot, parts.subject, parts.bus) == key
-
-
 def test_a_key_that_is_very_long_is_none_of_ours() -> None:
     """Parsing it would take a time that grows with the square of its length."""
     rest = "/cruiser-1/chassis/gear"
     root = "r" * (keys.KEY_MAX_LENGTH - len(rest))
     assert keys.parse(root + rest) is not None
     assert keys.parse("r" + root + rest) is None
-
-
-@given(root=st.text(), key=st.text())
-def test_no_text_makes_reading_a_liveliness_key_raise(root: str, key: str) -> None:
-    robot = keys.robot_of_liveliness(root, key)
-    assert robot is None or keys.liveliness(root, robot) == key
 
 
 @pytest.mark.parametrize(
@@ -76,17 +63,6 @@ def test_a_command_key_names_its_operator_and_verb(root: str, robot: str, operat
         assert key == f"{root}/{addressed}/{COMMAND_CHUNK}/{operator}/{verb}"
         assert keys.parse_command(key) == (operator, verb)
         assert keys.parse(key) is None
-
-
-@given(key=st.text() | st.text("ab/@cmd*$#?{}\n").map(lambda text: f"fleet/cruiser-1/{COMMAND_CHUNK}/{text}"))
-@example(key="fleet/cruiser-1/@cmd/first/stop\n")
-@example(key="fleet/cruiser-1/@cmd/*/stop")
-@example(key="fleet/@cmd/first/@cmd/second/stop")
-def test_no_text_makes_parsing_a_command_key_raise(key: str) -> None:
-    operator, verb = keys.parse_command(key)
-    assert not operator or keys.command("fleet", "cruiser-1", operator, verb).endswith(f"/{operator}/{verb}")
-    assert "/" not in verb
-    assert not verb or key.endswith(f"/{verb}")
 
 
 @pytest.mark.parametrize(

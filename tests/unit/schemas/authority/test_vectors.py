@@ -50,7 +50,7 @@ def vector(name: str) -> Vector:
 
 
 def frame(kind: bytes, *parts: bytes) -> bytes:
-    """The signed text, by the description in docs/proof.md only."""
+    """The signed text, by the description in docs/authority.md only."""
     return b"cruiser-auth-1\0" + kind + b"".join(len(part).to_bytes(4, "big") + part for part in parts)
 
 
