@@ -1,11 +1,11 @@
 """The typed messages, one class per subject.
 
-Every message is a MessagePack map whose keys are the field names below. A physical field carries its unit in
-its name (``speed_mps``, ``angle_deg``); a field without a unit is a count, a flag or a name. Axes are those of
-ISO 8855: x forward, y left, yaw positive from x to y, so left is positive.
+Every message is a MessagePack map whose keys are the field names below. Physical fields have their unit in the
+name (``speed_mps``); others are counts, flags or names. Axes are those of ISO 8855: x forward, y left, yaw
+positive from x to y, so left is positive.
 
-The fields of the chassis messages are the signals of the DBC: CamelCase becomes snake_case, the unit becomes a
-suffix, one bit becomes a bool, a value table becomes an enumeration. A test holds the two against each other.
+The fields of chassis messages are the signals of the DBC: CamelCase becomes snake_case, the unit a suffix, one bit
+a bool, a value table an enumeration. A test compares the two.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from msgspec import Meta
 _INT64_MAX = 2**63 - 1
 
 SEQUENCE_MAX = 2**32 - 1  # the last sequence number; 0 follows
-BUS_MAX_LENGTH = 64  # characters of a CAN bus's name: a log repeats it with every frame
-UNIT_KEYWORD = "unit"  # the JSON Schema keyword under which a field's unit is found
+BUS_MAX_LENGTH = 64  # characters of a CAN bus's name, which a log repeats with every frame
+UNIT_KEYWORD = "unit"  # the JSON Schema keyword of a field's unit
 
 
 def unit_keyword(unit: str) -> dict[str, str]:
@@ -39,7 +39,7 @@ TimeNs = Annotated[
 ]
 Count = Annotated[int, Meta(ge=0, le=_INT64_MAX)]
 Sequence = Annotated[
-    int, Meta(ge=0, le=SEQUENCE_MAX, description="+1 for each message of this key; a gap is a loss on the way.")
+    int, Meta(ge=0, le=SEQUENCE_MAX, description="+1 for each message of this key; a gap means lost messages.")
 ]
 AliveCounter = Annotated[int, Meta(ge=0, le=15, description="The frame's 4-bit alive counter; 15 wraps to 0.")]
 Pulses = Annotated[int, Meta(ge=-32768, le=32767, description="Signed 16-bit encoder count that wraps.")]
@@ -71,7 +71,7 @@ CanWord = Annotated[
 
 
 class GearPosition(Enum):
-    """Gear. ``undefined``: no value yet, or one that the manual does not define."""
+    """Gear. ``undefined``: no value yet, or one that is not in the manual."""
 
     UNDEFINED = "undefined"
     PARK = "park"
@@ -81,7 +81,7 @@ class GearPosition(Enum):
 
 
 class BrakingStatus(Enum):
-    """Service brake. ``undefined``: no value yet, or one that the manual does not define."""
+    """Service brake. ``undefined``: no value yet, or one that is not in the manual."""
 
     UNDEFINED = "undefined"
     RELEASED = "released"
@@ -90,7 +90,7 @@ class BrakingStatus(Enum):
 
 
 class ParkingStatus(Enum):
-    """Parking brake. ``undefined``: no value yet, or one that the manual does not define."""
+    """Parking brake. ``undefined``: no value yet, or one that is not in the manual."""
 
     UNDEFINED = "undefined"
     APPLIED = "applied"
@@ -98,7 +98,7 @@ class ParkingStatus(Enum):
 
 
 class Mode(Enum):
-    """The commander of the chassis. ``undefined``: no value yet, or one that the manual does not define."""
+    """The source of the chassis's commands. ``undefined``: no value yet, or one that is not in the manual."""
 
     UNDEFINED = "undefined"
     AUTO = "auto"
@@ -107,7 +107,7 @@ class Mode(Enum):
 
 
 class Variant(Enum):
-    """The chassis's firmware variant, which sets the scale of every speed. ``unknown``: no evidence yet."""
+    """The chassis's firmware variant, which decides the scale of speeds. ``unknown``: no evidence yet."""
 
     UNKNOWN = "unknown"
     COARSE = "coarse"
@@ -115,7 +115,7 @@ class Variant(Enum):
 
 
 class ControllerState(Enum):
-    """A CAN controller's error state (ISO 11898-1), by its error frames; ``unknown``: there were none."""
+    """A CAN controller's error state (ISO 11898-1), by its error frames; ``unknown``: none were received."""
 
     UNKNOWN = "unknown"
     ACTIVE = "active"
@@ -128,7 +128,7 @@ class Message(msgspec.Struct, frozen=True, gc=False):
     """The fields that every message begins with.
 
     Attributes:
-        time_ns: when the fact became known to its sender: for a CAN frame, when the bus delivered it.
+        time_ns: when the sender learned the content: for a CAN frame, when the bus delivered it.
     """
 
     version: ClassVar[int] = 1
@@ -195,7 +195,7 @@ class WheelPulse(Feedback, frozen=True, gc=False):
 
 
 class Body(Feedback, frozen=True, gc=False):
-    """Auto_MileageAndBodyFeedback. The chassis reports a bumper hit and does nothing about it."""
+    """Auto_MileageAndBodyFeedback. The chassis reports a bumper hit, but does not react to it."""
 
     valid: bool
     total_mileage_km: MileageKm
@@ -222,14 +222,14 @@ class Odometry(Message, frozen=True, gc=False):
     """Pose and speeds of the middle of the rear axle, from drive and steering feedback by the bicycle model.
 
     The pose is zero where the gateway started, or at the last ``reset_odometry``: x forward, y left, heading from
-    x to y. It drifts: the variances grow with the way, with what is turned, in gaps of the feedback, and where
-    the wheel pulses count another way. Speeds are those of the robot itself, along x and about z.
+    x to y. It drifts: the variances grow with distance and turning, in gaps of the feedback, and where the wheel
+    pulses disagree. Speeds are those of the robot, along its x and about z.
 
     Attributes:
-        time_ns: of the newest drive feedback that it holds.
-        x_m: where the axle is; with ``y_m``.
-        heading_rad: where x of the robot points to.
-        distance_m: the way driven, forward and in reverse.
+        time_ns: of the newest drive feedback that was used.
+        x_m: position of the axle, with ``y_m``.
+        heading_rad: direction of the robot's x.
+        distance_m: distance driven, forward plus reverse.
     """
 
     x_m: PlaceM
@@ -246,14 +246,14 @@ class Odometry(Message, frozen=True, gc=False):
 
 
 class CanFrames(Message, frozen=True):
-    """Raw CAN frames in the order of the bus, as columns of equal length.
+    """Raw CAN frames in bus order, as columns of equal length.
 
     Attributes:
         bus: the bus's name, as in the key.
-        dropped: frames lost before this batch because a buffer was full, since the start.
+        dropped: frames dropped before this batch because a buffer was full, since the start.
         frame_time_ns: when each frame was received (or sent).
         fd_flags: 0 for classic CAN; else bit 2 set, bit 0 bit rate switch, bit 1 error state indicator.
-        length: data length in bytes; for a remote frame the length asked for.
+        length: data length in bytes; for a remote frame the requested length.
         data: the data bytes of each frame.
     """
 
@@ -267,14 +267,14 @@ class CanFrames(Message, frozen=True):
 
 
 class RobotState(Message, frozen=True):
-    """The whole robot in one message. A field is null, or ``undefined``, until its feedback is seen, fresh, valid.
+    """The whole robot in one message. A field is null, or ``undefined``, without fresh, valid feedback.
 
     Attributes:
         bus_up: the gateway has the CAN bus open.
-        variant: the chassis's firmware variant; no speed is known before it is.
+        variant: the chassis's firmware variant; until it is known, speeds are null.
         silent: names of the feedback frames that are missing or overdue.
-        speed_mps: signed, forward positive: the drive feedback with the direction of the wheels, or of the gear
-            where the wheels do not tell; null if neither does.
+        speed_mps: signed, forward positive: the drive feedback with the direction of the wheels, or else of the
+            gear; null if neither has one.
         yaw_rate_radps: from speed and steering angle by the bicycle model, wheelbase 0.660 m.
     """
 
@@ -308,16 +308,15 @@ class FrameHealth(msgspec.Struct, frozen=True):
         name: the frame's name in the DBC.
         rate_hz: valid frames per second over the last second.
         valid: valid frames since the start.
-        lost: valid frames that should have come since the start and did not, by the alive counter. The period
-            shows how often it wrapped in a gap, once late frames have come. A frame with a wrong checksum or
-            an implausible value is lost too.
-        withheld: valid frames that were not published because the scale of their speeds was not known.
+        lost: valid frames missing since the start, by the alive counter; in a gap the period shows how often it
+            wrapped, once late frames have come. Frames with a wrong checksum or an implausible value count too.
+        withheld: valid frames that were not published because the scale of speeds was not known.
         checksum_faults: frames with a wrong checksum since the start.
-        implausible: frames with a right checksum and a value that this chassis cannot have, since the start. They
-            are not published.
+        implausible: frames with a correct checksum and a value that this chassis cannot have, since the start.
+            They are not published.
         silent: true while the frame is missing or overdue.
         alive_faults: the fault count of the alive counter: +1 for each fault, -1 for each good frame.
-        failures: the checks beyond their threshold now: checksum, implausible, alive_counter, period, silence.
+        failures: checks beyond their threshold now: checksum, implausible, alive_counter, period, silence.
     """
 
     name: str
@@ -339,30 +338,30 @@ class GatewayHealth(Message, frozen=True):
         uptime_s: since the gateway started.
         bus: the CAN bus's name, as in the keys.
         bus_up: the gateway has the CAN bus open.
-        bus_detail: why it has not.
+        bus_detail: why the bus is not open; else empty.
         variant: the firmware variant in force.
-        frames: CAN frames received since the start, whatever they were.
+        frames: CAN frames of any kind received since the start.
         frames_per_s: the same over the last second.
         faults: number of faults since the start, by kind.
-        unknown_identifiers: frames of identifiers that are not in the DBC, by hexadecimal identifier.
+        unknown_identifiers: frames whose identifier is not in the DBC, by hexadecimal identifier.
         bus_losses: number of losses of the bus since the start.
-        bus_drops: frames that were dropped since the start: of a SocketCAN interface, because they were not read
-            in time; of an adapter, because their line could not be read.
+        bus_drops: frames dropped since the start: by SocketCAN, because they were not read in time; from an
+            adapter, because their line could not be parsed.
         controller: the CAN controller's state, by the last error frame.
         zenoh_peers: Zenoh nodes connected directly to this one.
         publish_failures: samples that Zenoh did not accept.
-        inbox_drops: requests that were dropped unread since the start, because too many came.
+        inbox_drops: requests dropped unread since the start, because too many came.
         feedback: the supervision of each feedback frame.
-        tick_lateness_p50_ms: delay of the beginning of the last second's ticks: the median.
-        tick_lateness_p99_ms: the same, the 99th percentile.
-        tick_lateness_max_ms: the same, the latest.
-        tick_lateness_worst_ms: the latest since the start.
+        tick_lateness_p50_ms: delay of the beginnings of the last second's ticks, median.
+        tick_lateness_p99_ms: the same, 99th percentile.
+        tick_lateness_max_ms: the same, maximum.
+        tick_lateness_worst_ms: the maximum since the start.
         cpu_percent: processor time of this process over the last second; 100 is one core.
         realtime: the loop runs with real-time priority. Without it a lower speed limit is in force.
-        certificate_ends_ns: when the certificate ends that the gateway connects with; null where it has none.
-        grant_ends_ns: when the robot's own grant ends, with those above it; null in open mode.
-        notes: things that somebody has to see to: reasons why nobody may engage the robot, and certificates that
-            end soon, each with the file and the cure.
+        certificate_ends_ns: end of the certificate that the gateway connects with; null without one.
+        grant_ends_ns: end of the robot's own grant; null in open mode.
+        notes: problems to fix: reasons why the robot cannot be engaged, and certificates that end soon, each with
+            the file and the cure.
     """
 
     gateway_version: str
@@ -397,19 +396,19 @@ class GatewayInfo(Message, frozen=True):
     """The gateway's identity and configuration: the reply to a query on ``gateway/info``.
 
     Attributes:
-        robot: its chunk of the key.
+        robot: the robot's chunk of the key.
         bus: the CAN bus's name, as in the keys.
-        listen_only: it sends nothing on the bus.
-        started_ns: when it started.
+        listen_only: the gateway sends nothing on the bus.
+        started_ns: when the gateway started.
         variant: the firmware variant in force.
-        versions: of the gateway and of the packages it stands on.
+        versions: versions of the gateway and of the packages it uses.
         configuration: the settings in force, as TOML.
-        configuration_sha256: the hash of that text, in hexadecimal.
+        configuration_sha256: hash of that text, in hexadecimal.
         dbc_name: the file name of the DBC in force; empty while the variant is unknown.
         dbc: the text of the DBC in force; empty while the variant is unknown.
         schemas: JSON Schema text of every message, request and reply, by schema name.
-        listen: Zenoh endpoints that it listens on for all but commands; empty if it only dials out.
-        command_listen: Zenoh endpoints that it listens on for commands.
+        listen: Zenoh endpoints that the gateway listens on for everything except commands; empty for a client.
+        command_listen: Zenoh endpoints that the gateway listens on for commands.
     """
 
     robot: str
@@ -431,8 +430,8 @@ class CanFrame(msgspec.Struct, frozen=True):
     """One raw CAN frame in a log: a row of CanFrames.
 
     Attributes:
-        identifier: 11 or 29 bits; is_extended tells which.
-        dlc: data length in bytes; for a remote frame the length asked for.
+        identifier: 11 bits, or 29 with is_extended.
+        dlc: data length in bytes; for a remote frame the requested length.
     """
 
     time_ns: TimeNs
@@ -449,7 +448,7 @@ class CanFrame(msgspec.Struct, frozen=True):
 
 
 class RawSample(msgspec.Struct, frozen=True):
-    """A Zenoh sample in a log that fits no known subject, kept whole.
+    """A Zenoh sample in a log that fits no known subject, stored whole.
 
     Attributes:
         time_ns: the sample's own Zenoh timestamp; 0 if it has none.

@@ -1,7 +1,7 @@
 """Messages of a recorder about itself, and the requests that it accepts.
 
-A recorder is no robot: its keys begin ``{root}/@recorder/{recorder}``, a verbatim chunk, so that no wildcard of a
-client of robots reaches it by accident. Its verbs stand below ``@cmd/{operator}`` like a robot's.
+A recorder's keys begin ``{root}/@recorder/{recorder}``, a verbatim chunk, which no wildcard for robots matches.
+Its verbs are below ``@cmd/{operator}`` like a robot's.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RAW_CHUNK: Final = "@raw"
 
 
 class RecorderState(Enum):
-    """The state of a recorder. ``stopped``: it stands by. ``full``: it may use no more of the disk."""
+    """The state of a recorder. ``stopped``: standby. ``full``: its share of the disk is used up."""
 
     RECORDING = "recording"
     STOPPED = "stopped"
@@ -34,7 +34,7 @@ class RecorderState(Enum):
 
 
 class GapReason(Enum):
-    """Reasons why messages that reached the recorder are not in a log."""
+    """Reasons why messages that the recorder received are not in a log."""
 
     QUEUE = "queue"
     DISK = "disk"
@@ -43,7 +43,7 @@ class GapReason(Enum):
 
 
 class RecorderEventKind(Enum):
-    """The kind of a recorder's event. ``gateway``: a robot's gateway vanished without announcing its end."""
+    """The kind of a recorder's event. ``gateway``: a gateway disappeared without announcing its end."""
 
     STARTED = "started"
     STOPPED = "stopped"
@@ -60,24 +60,24 @@ class RecorderHealth(Message, frozen=True):
     """The health of a recorder, published each second.
 
     Attributes:
-        recorder: its chunk of the key.
+        recorder: the recorder's chunk of the key.
         state_since_s: time in that state.
-        files: logs that are being written now, incidents among them.
-        files_ended: logs that were ended since the start; ``ended_bytes`` of them.
-        robots: robots that it has received from; ``keys`` of theirs and of others.
-        received: samples that reached it since the start.
-        written: messages that it gave to logs since the start; a batch of raw frames is many.
-        missed: samples that never reached it, by the gaps in their sequences, since the start.
-        dropped: samples or messages that it could not keep since the start, by reason.
+        files: logs being written now, incidents included.
+        files_ended: logs ended since the start; ``ended_bytes`` is their size.
+        robots: robots with received samples; ``keys``, of robots and others.
+        received: samples received since the start.
+        written: messages written to logs since the start; each frame of a batch counts.
+        missed: samples not received since the start, by gaps in their sequences.
+        dropped: samples or messages dropped since the start, by reason.
         queue_bytes: samples that wait to be recorded.
         disk_queue_bytes: messages that wait for the disk, before compression.
         ring_bytes: messages held for an incident, before compression.
-        incidents: incident logs that were begun since the start.
+        incidents: incident logs begun since the start.
         disk_free_bytes: of the directory's file system.
-        disk_used_bytes: by this directory's logs, incidents among them.
-        incident_bytes: by those that are incidents.
+        disk_used_bytes: by this directory's logs, incidents included.
+        incident_bytes: by incidents.
         cpu_percent: processor time of this process over the last second; 100 is one core.
-        challenge: empty; of recorders of before in signed mode what an order echoed.
+        challenge: always empty.
     """
 
     recorder: str
@@ -107,12 +107,12 @@ class RecorderHealth(Message, frozen=True):
 
 
 class RecorderEvent(Message, frozen=True):
-    """An event of a recording that a person should know about.
+    """An event of a recording that a person should know.
 
     Attributes:
-        robot: the robot that it is about, or whose log; empty if it is about all.
-        file: the log that it is about, without its directory; empty if there is none.
-        operator: of recorders of before the operator who started or stopped it; else empty.
+        robot: the robot concerned, or whose log is; empty for all.
+        file: the log concerned, without its directory; empty if there is none.
+        operator: always empty.
         text: the event in a sentence.
     """
 
@@ -125,13 +125,13 @@ class RecorderEvent(Message, frozen=True):
 
 
 class RecordGap(Message, frozen=True):
-    """Messages of one key that reached the recorder and are not in the log.
+    """Messages of one key that the recorder received and that are not in the log.
 
     Attributes:
         key: the key.
-        first_ns: when the first of them was received, or not before.
-        last_ns: when the last of them was received, or not after.
-        count: number of samples if they were dropped unread, of the log's messages if the disk lost them.
+        first_ns: earliest time at which the first of them was received.
+        last_ns: latest time at which the last of them was received.
+        count: number of samples if they were dropped unread, of log messages if the disk lost them.
     """
 
     key: str
@@ -146,9 +146,9 @@ class RecorderReply(msgspec.Struct, frozen=True):
 
     Attributes:
         ok: the request was executed.
-        detail: why not, or what was done, in words.
-        files: the logs that it is about, without their directory: those ended, or the incidents begun.
-        health: the recorder's, as it is now.
+        detail: what was done, or why not.
+        files: the logs that were ended, or the incidents that were begun, without their directory.
+        health: the recorder's health now.
     """
 
     version: ClassVar[int] = 1
@@ -160,15 +160,15 @@ class RecorderReply(msgspec.Struct, frozen=True):
 
 
 class Status(Request, frozen=True, forbid_unknown_fields=True):
-    """Ask for the recorder's health."""
+    """Request the recorder's health."""
 
 
 class Mark(Request, frozen=True, forbid_unknown_fields=True):
-    """Keep what was received shortly before now and shortly after as an incident.
+    """Record the time shortly before and after now as an incident.
 
     Attributes:
-        text: the reason; it goes into the log.
-        robot: the robot to keep it of; every robot if it is empty.
+        text: the reason, written to the log.
+        robot: the robot concerned; every robot if it is empty.
     """
 
     text: Annotated[str, Meta(max_length=1000)] = ""

@@ -1,7 +1,7 @@
 """Requests of clients to a robot: one type for each verb, untrusted until the arbiter has judged it.
 
-A request is a MessagePack map like every message. Unlike in messages, a field that is not known is an error:
-whoever sent it meant something by it, and a command that is obeyed in part is worse than one that is refused.
+A request is a MessagePack map like every message. Unlike in a message, an unknown field is an error: refusing a
+command is safer than executing part of it.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from msgspec import Meta
 
 from schemas.messages import AngleDeg, SpeedMps, YawRateRadps, unit_keyword
 
-LEASE_MAX: Final = 2**53 - 1  # the largest whole number that every language's numbers hold exactly
+LEASE_MAX: Final = 2**53 - 1  # the largest whole number that is exact in every language
 
 CHALLENGE_BYTES: Final = 8
 
-LeaseNumber = Annotated[int, Meta(ge=0, le=LEASE_MAX, description="The number that acquire or take gave.")]
+LeaseNumber = Annotated[int, Meta(ge=0, le=LEASE_MAX, description="The number from the reply to acquire or take.")]
 Tick = Annotated[int, Meta(ge=0, le=LEASE_MAX)]
 Challenge = Annotated[
     bytes,
     Meta(
         min_length=CHALLENGE_BYTES,
         max_length=CHALLENGE_BYTES,
-        description=f"{CHALLENGE_BYTES} random bytes, drawn anew for each safety/state.",
+        description=f"{CHALLENGE_BYTES} random bytes, new in each safety/state.",
     ),
 ]
 PublicKey = Annotated[
@@ -38,7 +38,7 @@ CurvatureInverseM = Annotated[
 
 
 class Role(Enum):
-    """The rank of a lease's holder: program, operator, or highest supervisor. An equal one may take it too."""
+    """The rank of a lease's holder, from program to supervisor. An equal or higher one may take the lease."""
 
     PROGRAM = "program"
     OPERATOR = "operator"
@@ -51,20 +51,17 @@ class Role(Enum):
 
 
 class Request(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The base of all requests.
-
-    A field that is as without it is left out: so a robot that does not have it yet understands the request.
-    """
+    """The base of all requests. Fields with their default are left out, so that older robots accept them."""
 
     version: ClassVar[int] = 1
 
 
 class Acquire(Request, frozen=True, forbid_unknown_fields=True):
-    """Ask for the lease of a robot that nobody holds.
+    """Request the lease of a robot while it is free.
 
     Attributes:
-        role: the sender's; in signed mode the grant's counts instead.
-        public_key: the sender's for this lease; in signed mode alone.
+        role: the sender's; ignored in signed mode, where the grant has the role.
+        public_key: the sender's for this lease; only in signed mode.
     """
 
     role: Role = Role.OPERATOR
@@ -72,11 +69,11 @@ class Acquire(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Take(Request, frozen=True, forbid_unknown_fields=True):
-    """Take the lease from whoever holds it in no higher role, if the robot stands; the one who loses it is told.
+    """Take the lease from a holder of no higher role, while the robot stands; the former holder is notified.
 
     Attributes:
         role, public_key: see ``Acquire``.
-        override: take it although the robot moves; it is stopped first.
+        override: take it while the robot moves; the robot is stopped first.
     """
 
     role: Role = Role.OPERATOR
@@ -91,7 +88,7 @@ class Leased(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Renew(Leased, frozen=True, forbid_unknown_fields=True):
-    """Keep the lease; an acceptable drive command does so too."""
+    """Extend the lease, as every acceptable drive command does."""
 
 
 class Release(Leased, frozen=True, forbid_unknown_fields=True):
@@ -99,14 +96,14 @@ class Release(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Engage(Leased, frozen=True, forbid_unknown_fields=True):
-    """Take command of the chassis, standing still. The reply comes when the chassis reads auto, or when it failed.
+    """Take command of the standing chassis. The reply comes when the chassis reads auto, or after a failure.
 
     Attributes:
-        challenge: the newest one of ``safety/state`` that the sender saw; a link over which it comes too old is
-            too slow to drive over.
+        challenge: the newest one of ``safety/state`` that the sender received; if it is too old on arrival, the
+            link is too slow to drive.
         speed_limit_mps: a lower speed limit than the configured one, until the robot is disengaged.
-        deadman_s: a longer deadman than the configured one, until the robot is disengaged; a shorter one changes
-            nothing. It is for links that stall, and costs speed.
+        deadman_s: a longer deadman than the configured one, until the robot is disengaged; a shorter one has no
+            effect. It is for links that stall, and lowers the speed limit.
     """
 
     version: ClassVar[int] = 2
@@ -117,17 +114,18 @@ class Engage(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Disengage(Leased, frozen=True, forbid_unknown_fields=True):
-    """Stop in a controlled way, and give up command of the chassis. Nothing is latched."""
+    """Stop in a controlled way, and give up command of the chassis. No reset is needed."""
 
 
 class Reset(Leased, frozen=True, forbid_unknown_fields=True):
-    """Clear what is latched, once its cause is gone and the robot stands.
+    """Clear latched stops once their causes are gone and the robot stands.
 
     Attributes:
-        challenge: the newest one of ``safety/state`` that the sender saw. With it a reset never clears what was
-            latched after that, nor comes late; without it only what was latched a moment ago is kept.
-        of: whose remote stop it clears, where that was somebody else's: the first name of ``stopped_by`` in
-            ``safety/state`` that is not the sender's.
+        challenge: the newest one of ``safety/state`` that the sender received. With it, a reset never clears a
+            later stop and is refused if it comes late; without it, only stops latched a moment ago are not
+            cleared.
+        of: the client whose remote stop is cleared, if it is not the sender's own: the first other name of
+            ``stopped_by`` in ``safety/state``.
     """
 
     version: ClassVar[int] = 2
@@ -145,12 +143,11 @@ class Unpark(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Light(Leased, frozen=True, forbid_unknown_fields=True):
-    """Set the lamps that are the upper layer's. All false puts them out.
+    """Set headlamp and indicators. All false switches them off.
 
-    Every stop puts them out too, that of the deadman included. One that is latched, that of the guard included,
-    switches both indicators on instead: hazard lights until the next engage. Where the remote control takes over,
-    or the bus is lost, nothing is sent any more: they stay as they are until the robot is engaged again or
-    stopped.
+    Every stop switches them off, also a deadman's. A latched stop, also a guard's, switches both indicators on
+    instead: hazard lights until the next engage. If the remote control takes over, or the bus is lost, no more
+    frames are sent: the lamps stay as they are until the robot is engaged again or stopped.
     """
 
     headlamp: bool = False
@@ -159,42 +156,42 @@ class Light(Leased, frozen=True, forbid_unknown_fields=True):
 
 
 class Horn(Leased, frozen=True, forbid_unknown_fields=True):
-    """Sound the horn, or end it.
+    """Switch the horn on or off.
 
-    Every stop ends it too, that of the deadman and that of the guard included. Where the remote control takes
-    over, or the bus is lost, nothing is sent any more: it sounds on until the robot is engaged again or stopped.
+    Every stop switches it off, also a deadman's and a guard's. If the remote control takes over, or the bus is
+    lost, no more frames are sent: it stays on until the robot is engaged again or stopped.
     """
 
     on: bool
 
 
 class ClearOdometer(Leased, frozen=True, forbid_unknown_fields=True):
-    """Set the total mileage to zero. The reply comes when the mileage reads zero, or when it failed to."""
+    """Set the total mileage to zero. The reply comes when the mileage reads zero, or after a failure."""
 
 
 class ResetOdometry(Leased, frozen=True, forbid_unknown_fields=True):
-    """Set pose, way and variances of ``chassis/odometry`` to zero here and now, at rest or not.
+    """Set pose, distance and variances of ``chassis/odometry`` to zero, at rest or in motion.
 
-    The mileage that the chassis counts stays: see ``clear_odometer``.
+    The chassis's mileage does not change: see ``clear_odometer``.
     """
 
 
 class Stop(Request, frozen=True, forbid_unknown_fields=True):
-    """The remote stop, from anyone. Its payload is never read: any bytes will do.
+    """The remote stop, for every client. Its payload is ignored.
 
-    It is no emergency stop: that is the button on the robot.
+    It is not an emergency stop: that is the button on the robot.
     """
 
 
 class Drive(Leased, frozen=True, forbid_unknown_fields=True):
-    """One command of the stream that moves the robot. Exactly one of angle, curvature and yaw rate is given.
+    """One command of the stream that moves the robot, with exactly one of angle, curvature and yaw rate.
 
     Attributes:
-        seq: rises by 1 to 1,000 with each accepted command of a lease, from 0 or 1 on.
-        challenge: the newest one of ``safety/state`` that the sender has seen; it bounds the command's age.
+        seq: rises by 1 to 1,000 with each accepted command of a lease, beginning with 0 or 1.
+        challenge: the newest one of ``safety/state`` that the sender received; it bounds the command's age.
         speed_mps: forward is positive.
         angle_deg: steering angle of the bicycle model.
-        tick: the ``tick`` beside that challenge, for people who read a recording. Nothing depends on it.
+        tick: the ``tick`` that came with that challenge, for readers of a recording; it has no effect.
     """
 
     version: ClassVar[int] = 2
