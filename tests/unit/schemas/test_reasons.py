@@ -11,7 +11,6 @@ from schemas.subjects import COMMANDS as COMMANDS_TABLE
 
 @pytest.mark.parametrize("reason", Reason)
 def test_a_reason_says_what_it_means_and_what_would_cure_it(reason: Reason) -> None:
-    """A refusal always says what would make it succeed; where nothing is wrong there is nothing to cure."""
     text = TEXTS[reason]
     assert text.means
     assert bool(text.cure) == (reason is not Reason.NONE)
@@ -19,7 +18,6 @@ def test_a_reason_says_what_it_means_and_what_would_cure_it(reason: Reason) -> N
 
 @pytest.mark.parametrize("reason", Reason)
 def test_a_text_goes_on_with_figures(reason: Reason) -> None:
-    """Figures follow behind a semicolon: a text is one line that neither begins nor ends a sentence."""
     for text in (TEXTS[reason].means, TEXTS[reason].cure):
         assert text == text.strip()
         assert text.isprintable()
@@ -34,7 +32,6 @@ VERBS = {command.verb for command in COMMANDS_TABLE} - {"stop", "drive", "light"
 
 @pytest.mark.parametrize("cure", sorted(CURES))
 def test_what_a_cure_quotes_is_a_command_line(cure: str) -> None:
-    """The command exists, and takes these arguments."""
     assert "cruiser " not in re.sub(r"'cruiser [^']*'", "", cure)
     for line in re.findall(r"'cruiser ([^']*)'", cure):
         name, *words = line.replace("ROBOT", "cruiser-1").replace(" N", " 7").split()
@@ -48,12 +45,10 @@ def test_what_a_cure_quotes_is_a_command_line(cure: str) -> None:
 
 @pytest.mark.parametrize("cure", sorted(CURES))
 def test_a_cure_names_no_verb_without_saying_how(cure: str) -> None:
-    """Acquire it, alone, helps nobody: beside a verb stands a command."""
     assert not VERBS & set(re.findall(r"\w+", cure)) or "'cruiser " in cure
 
 
 @pytest.mark.parametrize("beside", sorted(NO_STOP, key=str))
 def test_a_stop_that_would_be_refused_is_no_cure(beside: Reason) -> None:
-    """The remote control has a moving robot, or the bus is gone: 'cruiser stop' is not offered."""
     assert "cruiser stop" in of_a_robot(Reason.MOVING, [Reason.MOVING, Reason.NO_LEASE]).cure
     assert of_a_robot(Reason.MOVING, [beside, Reason.MOVING]).cure.startswith("wait until it stands")
