@@ -16,7 +16,7 @@ from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.authority.trust import Objection
 from schemas.codec import decode, encode
 from schemas.decisions import LeaseReply, SignedStatement
-from schemas.reasons import Reason
+from schemas.reasons import TEXTS, Reason
 from schemas.requests import Acquire
 from schemas.settings import Settings
 from schemas.subjects import BY_NAME, BY_VERB
@@ -247,7 +247,7 @@ def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
     bench = AuthorityBench()
     bench.wall_s = NOW_S + DAY_S + 1
     bars = [bench.tick().bars for _ in range(5)]
-    text = "the robot's own grant: the grant is over, or has not begun; it ended 2026-11-19 11:06 UTC"
+    text = f"the robot's own grant: {TEXTS[Reason.GRANT_EXPIRED].means}; it ended 2026-11-19 11:06 UTC"
     assert bars[0] == {Reason.GRANT_EXPIRED: text}
     assert bars[1:] == [None] * 4
     bench.wall_s += 3
