@@ -21,14 +21,7 @@ READY: Final = "standby, bus up, guarded"
 
 
 class Box:
-    """A computer, off at first, until the block ends.
-
-    Args:
-        image: its disk.
-        directory: for its sockets and what it shares with the tests.
-        card: the socket of the chassis's wire.
-        processor: the only one that it may use.
-    """
+    """The robot's computer, initially off; ``processor`` is the only one that it may use."""
 
     def __init__(self, image: Path, directory: Path, card: Path, processor: str) -> None:
         self.share = directory / "share"
@@ -50,11 +43,10 @@ class Box:
 
     @property
     def console(self) -> Path:
-        """What the kernel and systemd say, of the last boot."""
         return self._directory / f"console-{self._boots}"
 
     def boot(self) -> float:
-        """Switch it on. Returns when, by time.monotonic(). It is not up then: see ``wait_up``."""
+        """Switch on, without waiting: see ``wait_up``. Returns the time, by time.monotonic()."""
         assert self._process is None
         self._boots += 1
         shutil.rmtree(self.share, ignore_errors=True)
@@ -99,7 +91,7 @@ class Box:
         assert process.poll() is None, self.console.read_text(errors="replace")[-3000:]
 
     def cut_power(self) -> float:
-        """All of its processes end at once, as when the battery is pulled. Returns when, by time.monotonic()."""
+        """End all processes at once, as when the battery is pulled. Returns the time, by time.monotonic()."""
         assert self._process is not None
         os.killpg(self._process.pid, signal.SIGKILL)
         cut_s = time.monotonic()
@@ -108,7 +100,6 @@ class Box:
         return cut_s
 
     def power_off(self) -> None:
-        """Shut it down in order."""
         process = self._process
         assert process is not None
         self._put("systemctl poweroff")
@@ -118,13 +109,7 @@ class Box:
         self._forget()
 
     def run(self, command: str, *, check: bool = True, timeout_s: float = COMMAND_S) -> str:
-        """Run a command of the shell in there, as root. Returns what it prints.
-
-        Starting a process holds all others in there up: not while it drives.
-
-        Raises:
-            AssertionError: it fails, and is to be checked.
-        """
+        """Run a shell command as root and return its output. It delays all processes: not while it drives."""
         name = self._put(command)
         code = self.share / f"{name}.rc"
         wait_until(code.exists, deadline_s=timeout_s)
@@ -133,7 +118,7 @@ class Box:
         return printed
 
     def wait_status(self, status: str = READY, deadline_s: float = 120.0) -> str:
-        """Wait until what the gateway says of itself begins so. Returns all of it."""
+        """Wait until the gateway's status begins with this text. Returns all of it."""
         command = f"""for i in $(seq {int(deadline_s)}); do
             status=$(systemctl show --property=StatusText --value cruiser-gateway)
             case $status in "{status}"*) echo "$status"; exit 0 ;; esac
@@ -143,12 +128,11 @@ class Box:
         return self.run(command, timeout_s=deadline_s * 3).strip()
 
     def journal(self, words: str) -> list[dict[str, str]]:
-        """Entries of the journal, by the arguments of journalctl."""
         # Without its text a field of bytes is a list.
         return [json.loads(line) for line in self.run(f"journalctl --output=json {words}").splitlines()]
 
     def fetch(self, inside: str) -> Path:
-        """A directory of the box's, copied out. Returns where it is."""
+        """Copy a directory out of the box. Returns its copy."""
         target = self.share / f"copy-{next(self._numbers)}"
         target.mkdir()
         self.run(f"cp -r {inside}/. /run/box/{target.name}/")
@@ -167,15 +151,12 @@ class Box:
 
 
 def come_first(session: int) -> None:
-    """A session's processes come before those of others.
-
-    Where the kernel makes a group of each session, a process's nice counts among those of its session alone.
-    """
+    """Run a session's processes before others, where the kernel groups processes by session."""
     with suppress(OSError):
         Path(f"/proc/{session}/autogroup").write_text("-20", "ascii")
 
 
 def memory_forbids_execution() -> bool:
-    """User-mode Linux keeps its memory in /dev/shm, which containers often mount so."""
+    """Report whether /dev/shm, which user-mode Linux uses, is mounted noexec, as in many containers."""
     mounts = (line.split() for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines())
     return any(words[1] == "/dev/shm" and "noexec" in words[3].split(",") for words in mounts)  # noqa: S108

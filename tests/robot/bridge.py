@@ -27,16 +27,15 @@ GET_FLAGS, SET_FLAGS, UP = 0x8913, 0x8914, 1
 
 
 def flags(sock: socket.socket, name: str) -> int:
-    """The interface's flags. Raises OSError: it is not there."""
+    """Return the interface's flags. Raises OSError if it does not exist."""
     request = struct.pack("@16sh14x", name.encode(), 0)
     return int(struct.unpack("@16sh14x", fcntl.ioctl(sock, GET_FLAGS, request))[1])
 
 
 class Wire:
-    """Both ends. A thread a direction, so that each frame costs two system calls, which are slow in here."""
+    """Both ends. One thread per direction, so that a frame takes two system calls, which are slow here."""
 
     def __init__(self) -> None:
-        """The network card, up; the bus may come later."""
         self._card = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(CAN_TYPE))
         request = struct.pack("@16sh14x", CARD.encode(), flags(self._card, CARD) | UP)
         fcntl.ioctl(self._card, SET_FLAGS, request)
@@ -44,7 +43,6 @@ class Wire:
         self._bus: socket.socket | None = None
 
     def from_chassis(self) -> None:
-        """Pass on to the bus, for ever. What comes while there is none is lost."""
         while True:
             frame = self._card.recv(256)[len(CAN_HEADER) :][:FRAME_BYTES]
             bus = self._bus
@@ -53,7 +51,7 @@ class Wire:
                     bus.send(frame)
 
     def to_chassis(self) -> None:
-        """Pass on what is on the bus, for ever, as often as the interface goes and comes back."""
+        """Forward frames, and reopen the interface whenever it comes back."""
         while True:
             try:
                 if flags(self._card, BUS) & UP:
@@ -68,7 +66,6 @@ class Wire:
             time.sleep(LOOK_S)
 
     def live(self) -> None:
-        """Give signs of life, for ever."""
         while True:
             self._tell_life()
             time.sleep(LIFE_S)
@@ -80,14 +77,12 @@ class Wire:
 
 
 def notify_ready() -> None:
-    """Tell systemd, which then starts the network."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.connect(os.environ["NOTIFY_SOCKET"])
         manager.send(b"READY=1")
 
 
 def main() -> None:
-    """Pass on for ever."""
     wire = Wire()
     for direction in (wire.to_chassis, wire.from_chassis):
         threading.Thread(target=direction).start()

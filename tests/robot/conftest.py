@@ -1,4 +1,4 @@
-"""The fixtures of this directory, which a plain pytest passes by: ``run`` has what they want."""
+"""Fixtures for ``run``; a plain pytest skips this directory."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ from tests.support.processes.gateway import chassis
 
 @pytest.fixture
 def place() -> Iterator[Path]:
-    """A directory whose name is short enough for sockets."""
+    """A directory with a name short enough for sockets."""
     path = Path(tempfile.mkdtemp(prefix="robot-"))
     yield path
     shutil.rmtree(path)
@@ -40,7 +40,7 @@ def bare_image() -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def installed_image(bare_image: Path) -> Iterator[Path]:
-    """A disk with the package and its services on it, as a first boot left it."""
+    """A disk with the package and its services, after a first boot."""
     directory = Path(tempfile.mkdtemp(prefix="robot-"))
     image = directory / "installed.img"
     copy_image(bare_image, image)
@@ -59,18 +59,15 @@ def installed_image(bare_image: Path) -> Iterator[Path]:
 
 @pytest.fixture
 def box(installed_image: Path, place: Path, outside: Outside) -> Iterator[Box]:
-    """The robot's computer, off, with a disk of its own; its console is shown where a test fails."""
     yield from computer(installed_image, place, outside)
 
 
 @pytest.fixture
 def fresh_box(bare_image: Path, place: Path, outside: Outside) -> Iterator[Box]:
-    """The same, without the package."""
     yield from computer(bare_image, place, outside)
 
 
 def computer(source: Path, place: Path, outside: Outside) -> Iterator[Box]:
-    """The robot's computer, with a copy of that disk."""
     image = place / "box.img"
     copy_image(source, image)
     with Box(image, place, outside.card, os.environ["ROBOT_PROCESSOR"]) as computer:

@@ -22,7 +22,6 @@ ANSWERS_S: Final = 90.0
 
 
 def get(address: str) -> bytes:
-    """The content of an answer."""
     with urllib.request.urlopen(address, timeout=60) as answer:  # noqa: S310 - the addresses above
         content: bytes = answer.read()
     return content
@@ -33,7 +32,6 @@ def page() -> str:
 
 
 def robot_on_desk() -> str:
-    """A message of the desk to its page that names the robot."""
     with connect(f"ws://{DESK}/link", origin=Origin(f"http://{DESK}"), open_timeout=10) as link:
         end_s = time.monotonic() + 5
         while time.monotonic() < end_s:
@@ -44,13 +42,12 @@ def robot_on_desk() -> str:
 
 
 def metrics() -> str:
-    """The exporter's line that the robot is there."""
     wanted = f'cruiser_up{{robot="{ROBOT}"}} 1.0'
     return wanted if wanted in get(EXPORTER).decode() else ""
 
 
 def log() -> str:
-    """A log from the desk, and its report; one that is being written is listed, but cannot be downloaded."""
+    """Download a finished log and its report from the desk."""
     # The package has no library that reads catalogs: its desk lists the names of all logs.
     head = json.loads(get(f"http://{DESK}/find?search=logs").splitlines()[0])
     for name in head["uncataloged"]:
@@ -63,7 +60,7 @@ def log() -> str:
 
 
 def wait(question: Callable[[], str], end_s: float) -> str:
-    """What is answered in the end; without an answer, what came in its place, after "no"."""
+    """Repeat a question until it is answered. Returns the answer, or "no" and the reason."""
     while True:
         try:
             said = question()
@@ -76,7 +73,6 @@ def wait(question: Callable[[], str], end_s: float) -> str:
 
 
 def main() -> int:
-    """Ask all of them."""
     questions = [page, robot_on_desk, metrics, *([log] if "LOGS" in sys.argv else [])]
     end_s = time.monotonic() + ANSWERS_S
     answers = [wait(question, end_s) for question in questions]

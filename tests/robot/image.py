@@ -52,7 +52,7 @@ MASKED: Final = (
 
 
 def base_root() -> Path:
-    """The unpacked system, from the mirror that apt is configured for; once for each list of packages."""
+    """Return the unpacked system, from apt's mirror, cached for each list of packages."""
     key = hashlib.sha256(f"{RELEASE} {PACKAGES} {MODULES}".encode()).hexdigest()[:12]
     root = BUILD / f"root-{key}"
     if root.exists():
@@ -85,11 +85,7 @@ def base_root() -> Path:
 
 
 def mirror() -> str:
-    """The address of Debian in apt's own configuration; the same has each release.
-
-    Raises:
-        LookupError: there is none.
-    """
+    """Return Debian's address in apt's configuration, the same for each release. Raises LookupError."""
     lines = call("apt-get", "indextargets", "--format", "$(REPO_URI) $(RELEASE) $(COMPONENT)").splitlines()
     releases = {words[1]: words[0] for line in lines if (words := line.split())[2:] == ["main"]}
     for release in (RELEASE, *DEBIANS):
@@ -99,7 +95,7 @@ def mirror() -> str:
 
 
 def make_base_image(image: Path, clock: Path, ns_per_tick: str) -> None:
-    """A disk that boots, without the package; ``clock`` is the compiled tests/socketcan/clock.c."""
+    """Make a bootable disk without the package; ``clock`` is the compiled tests/socketcan/clock.c."""
     tree = image.with_suffix(".root")
     shutil.rmtree(tree, ignore_errors=True)
     # Links instead of copies: what is replaced below is unlinked first.
@@ -123,13 +119,11 @@ def make_base_image(image: Path, clock: Path, ns_per_tick: str) -> None:
 
 
 def link(path: Path, target: str) -> None:
-    """A symbolic link, in place of what is there."""
     path.unlink(missing_ok=True)
     path.symlink_to(target)
 
 
 def copy_image(source: Path, target: Path) -> None:
-    """A disk of a test's own."""
     call("cp", "--sparse=always", source, target)
 
 

@@ -25,7 +25,6 @@ SEEN: Final = Path("/run/box/steady")
 
 
 def drive(robot: Robot, lease: Lease) -> None:
-    """One try, until something ends it."""
     if not robot.wait_for(lambda state: state.guarded and set(state.blocked_by) <= OVERCOME, READY_S):
         say(f"blocked: {robot.state().state.blocked_by}")
         lease.reset()
@@ -43,13 +42,11 @@ def drive(robot: Robot, lease: Lease) -> None:
 
 
 def say(line: str) -> None:
-    """A line for the journal."""
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
 
 
 def main() -> None:
-    """Drive; try again until it was steady."""
     end_s = time.monotonic() + DRIVE_S
     with Robot.connect("cruiser-1", "tester", load_settings(None, os.environ, {}), READY_S) as robot:
         while time.monotonic() < end_s and not SEEN.exists():

@@ -30,42 +30,28 @@ SENDERS: Final = (*MOTION, *EXTRAS)
 
 
 class Speed(NamedTuple):
-    """What the chassis says of its motion.
-
-    Attributes:
-        at_s: time.monotonic() out here.
-    """
+    """Feedback of the speed; ``at_s`` is the host's time.monotonic()."""
 
     at_s: float
     mps: float
 
 
 class Told(NamedTuple):
-    """A command frame that reached the chassis."""
-
     at_s: float
     can_id: int
     data: bytes
 
     @property
     def enables(self) -> bool:
-        """It has its enable bit set."""
         return bool(self.data[0] & 1)
 
     @property
     def speed_raw(self) -> int:
-        """Of a drive command."""
         return self.data[1] | self.data[2] << 8
 
 
 class Life(NamedTuple):
-    """The guest's sign of life.
-
-    Attributes:
-        wall_ns: its time of day.
-        up_s: since it booted.
-        bus_is_up: its CAN interface is.
-    """
+    """A sign of life of the guest: host time, its time of day, its uptime, and its interface."""
 
     at_s: float
     wall_ns: int
@@ -74,12 +60,7 @@ class Life(NamedTuple):
 
 
 class Outside:
-    """The far end of the wire, until the block ends.
-
-    Args:
-        directory: of the sockets.
-        chassis: HOST:PORT of ``cruiser sim --listen``.
-    """
+    """The far end of the wire; ``chassis`` is HOST:PORT of ``cruiser sim --listen``."""
 
     def __init__(self, directory: Path, chassis: str) -> None:
         self.card = directory / "chassis.sock"
@@ -113,17 +94,13 @@ class Outside:
 
     @property
     def speed_mps(self) -> float:
-        """What the chassis said last."""
         return self.speeds[-1].mps if self.speeds else 0.0
 
     def distance_m(self, since_s: float) -> float:
-        """How far it has gone since then."""
         speeds = [speed for speed in self.speeds if speed.at_s >= since_s]
         return sum((b.at_s - a.at_s) * a.mps for a, b in pairwise(speeds))
 
     def wait_steady(self, mps: float, seconds: float, deadline_s: float) -> None:
-        """Wait until it has gone at least so fast for so long."""
-
         def is_steady() -> bool:
             since_s = time.monotonic() - seconds
             late = [speed.mps for speed in self.speeds[-int(200 * seconds) :] if speed.at_s >= since_s]
@@ -132,24 +109,20 @@ class Outside:
         wait_until(is_steady, deadline_s=deadline_s)
 
     def wait_stands(self, deadline_s: float) -> None:
-        """Wait until the chassis stands."""
         wait_until(lambda: self.speed_mps < MOVES_MPS, deadline_s=deadline_s)
 
     def first_life(self, since_s: float, *, bus_is_up: bool) -> Life | None:
-        """The guest's first sign of life since then; with its interface up, if that is asked."""
+        """Return the first sign of life since then, or the first with the interface up."""
         lives = (life for life in self.lives if life.at_s >= since_s and (life.bus_is_up or not bus_is_up))
         return next(lives, None)
 
     def first_zero_s(self, since_s: float) -> float | None:
-        """When, since then, the chassis was first told zero speed."""
         return next((told.at_s for told in self.told if told.at_s >= since_s and self._tells_zero(told)), None)
 
     def moves_since(self, since_s: float) -> list[Speed]:
-        """Where it moved since then."""
         return [speed for speed in self.speeds if speed.at_s >= since_s and speed.mps >= MOVES_MPS]
 
     def drives_since(self, since_s: float) -> list[Told]:
-        """Commands since then that ask for motion."""
         return [
             told
             for told in self.told

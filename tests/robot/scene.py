@@ -1,4 +1,4 @@
-"""What the tests do with a robot in a box, and what they judge each time."""
+"""Common actions and checks for a robot in a box."""
 
 import json
 import os
@@ -42,14 +42,12 @@ def install(box: Box) -> None:
 
 
 def start(box: Box) -> None:
-    """Boot until the gateway could be engaged."""
     box.boot()
     box.wait_up()
     box.wait_status()
 
 
 def drive(box: Box, outside: Outside) -> None:
-    """Boot, and have the operator drive; return while the robot moves steadily."""
     start(box)
     begin_drive(box, outside)
 
@@ -67,28 +65,20 @@ def begin_drive(box: Box, outside: Outside) -> None:
 
 
 def check_stays(outside: Outside, since_s: float, seconds: float = STAYS_S) -> None:
-    """Nothing has moved since then, nothing asked for motion, and nothing does for some seconds more."""
+    """Check that nothing moved or was commanded to move since then, nor in the next seconds."""
     time.sleep(max(0.0, since_s + seconds - time.monotonic()))
     assert not outside.moves_since(since_s)
     assert not outside.drives_since(since_s)
 
 
 def check_latched(box: Box) -> None:
-    """A gateway that came after a stop waits for somebody's reset, and ``cruiser why`` says for what."""
     said = box.run("cruiser why cruiser-1", check=False)
     say("cruiser why", " | ".join(said.split("\n")[:4]))
     assert "cruiser reset" in said, said
 
 
 def check_doctor(box: Box, when: str, expected: Mapping[str, str], *, or_else: str = "") -> None:
-    """``cruiser doctor`` says what happened, a line each with its cure, and finds nothing else to do.
-
-    Args:
-        box: up.
-        when: for the file of results.
-        expected: words of a finding's line, by its check.
-        or_else: a check that may be there or not.
-    """
+    """Check doctor's findings: the expected words by check, and besides notes only ``or_else``."""
     found = json.loads(box.run("cruiser doctor --json", check=False))["findings"]
     for one in found:
         say(
@@ -102,13 +92,11 @@ def check_doctor(box: Box, when: str, expected: Mapping[str, str], *, or_else: s
 
 
 def kill_service(box: Box, service: str) -> None:
-    """Kill its process; return when systemd has begun it again."""
     box.run(f"systemctl kill --signal=KILL --kill-whom=main {service}")
     wait_restarted(box, service)
 
 
 def wait_restarted(box: Box, service: str) -> None:
-    """Wait until systemd has begun it again."""
     box.run(
         f"for i in $(seq {RESTARTED_S}); do "
         f"[ $(systemctl show --property=NRestarts --value {service}) = 0 ] || exit 0; sleep 1; done; "
@@ -118,7 +106,6 @@ def wait_restarted(box: Box, service: str) -> None:
 
 
 def ask_fleet(box: Box, when: str, *, logs: bool = False) -> None:
-    """Desk and exporter show the robot; with ``logs`` the desk has a log of it, and its report."""
     begun_s = time.monotonic()
     answers = box.run(
         f"/opt/cruiser/bin/python /usr/local/lib/box/fleet_inside.py {'LOGS' if logs else ''} "
@@ -128,7 +115,7 @@ def ask_fleet(box: Box, when: str, *, logs: bool = False) -> None:
 
 
 def wait_log(box: Box) -> str:
-    """Wait until the recorder has more than begun a log. Returns the path that it will have when it is whole."""
+    """Wait until the recorder has written some of a log. Returns the path of the finished log."""
     find = f"find {LOGS} -name '*{PART_SUFFIX}' ! -name '*{INCIDENT_SUFFIX}{PART_SUFFIX}' -size +100k"
     part = box.run(
         f"for i in $(seq {RECOVERED_S}); do {find} | grep . && exit 0; sleep 1; done; ls -l {LOGS}; exit 1"
@@ -137,13 +124,9 @@ def wait_log(box: Box) -> str:
 
 
 def check_log(box: Box, last: Life, lost_s: float = LOST_S, *, log: str = "") -> None:
-    """The log of before is whole, and lacks no more than its last moments.
+    """Check that the earlier log is finished, and misses less than ``lost_s`` before ``last``.
 
-    Args:
-        box: up again.
-        last: the guest's last sign of life before the power went, or a sign of a moment that shall be covered.
-        lost_s: at most this much of the log may be missing before it.
-        log: its path; without it the recorder has to say that it has made one whole.
+    Without ``log`` the recorder has to report the recovery.
     """
     is_whole = f"[ -e {log} ]" if log else "journalctl -b -u cruiser-recorder | grep -q 'is whole now'"
     box.run(
@@ -162,7 +145,6 @@ def check_log(box: Box, last: Life, lost_s: float = LOST_S, *, log: str = "") ->
 
 
 def say_memory(box: Box) -> None:
-    """What the processes take, by the kernel's count, in which pages that they share count for each."""
     lines = box.run("ps -eo rss=,args= | grep python").splitlines()
     for name, words in PROCESSES.items():
         kilobytes = next(int(line.split()[0]) for line in lines if words in line)
@@ -170,6 +152,6 @@ def say_memory(box: Box) -> None:
 
 
 def say(what: str, text: str) -> None:
-    """A figure, into the file of results."""
+    """Write a figure into the file of results."""
     with Path(os.environ["ROBOT_FIGURES"]).open("a", encoding="utf-8") as figures:
         figures.write(f"{what}: {text}\n")

@@ -1,4 +1,4 @@
-"""A part of the robot's computer fails in mid-drive: what moves is stopped, and nothing moves by itself."""
+"""Failures of parts of the robot's computer in mid-drive."""
 
 import time
 from typing import Final
@@ -24,7 +24,6 @@ HUNG: Final = {
 
 @pytest.mark.parametrize("signal", ["KILL", "STOP"])
 def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -> None:
-    """Its guard stops the robot; systemd begins it again, if need be by the watchdog; it waits for a reset."""
     scene.drive(box, outside)
     begun_s = time.monotonic()
     box.run(f"systemctl kill --signal={signal} --kill-whom=main cruiser-gateway")
@@ -52,7 +51,6 @@ def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -
 
 
 def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> None:
-    """Nobody can tell the chassis anything meanwhile; with the interface comes the early stop."""
     scene.drive(box, outside)
     last = outside.lives[-1]
     box.run("ip link delete can0")
@@ -89,7 +87,6 @@ def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> No
 
 
 def test_a_full_disk(box: Box, outside: Outside) -> None:
-    """Gateway and early stop come although it is full; the log is whole up to then."""
     scene.start(box)
     log = scene.wait_log(box)
     full = outside.lives[-1]
@@ -138,7 +135,6 @@ def test_a_full_disk(box: Box, outside: Outside) -> None:
 
 
 def test_a_clock_that_is_set_back(box: Box, outside: Outside) -> None:
-    """An hour: what the robot does hangs on no time of day, and no log is lost or overwritten."""
     scene.drive(box, outside)
     before = outside.lives[-1]
     set_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""The package is upgraded: while the robot stands, and not while it moves."""
+"""Upgrades of the package while the robot moves and while it stands."""
 
 import os
 import shutil
@@ -33,7 +33,6 @@ def newer(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_upgrade_while_the_robot_moves_and_while_it_stands(box: Box, outside: Outside, newer: Path) -> None:
-    """Refused with a line that says why, and nothing is changed; later the upgrade starts what ran again."""
     scene.start(box)
     shutil.copy(newer, box.share / "newer.deb")
     for tries_left in reversed(range(TRIES)):

@@ -11,7 +11,6 @@ DARK_S = 3.0
 
 
 def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:
-    """The early stop ends the drive at the next boot, nothing moves by itself, and the log lacks its end alone."""
     scene.drive(box, outside)
     cut_s = box.cut_power()
     last = outside.lives[-1]

@@ -1,4 +1,4 @@
-"""What serves a fleet: desk and exporter of the package, as systemd's services."""
+"""Desk and exporter of the package, as systemd's services."""
 
 import time
 
@@ -10,7 +10,6 @@ SERVICES = ("cruiser-desk", "cruiser-metrics")
 
 
 def test_desk_and_exporter_answer_and_come_back(box: Box, outside: Outside) -> None:
-    """Enabled, killed, and after a power cut. The desk reads the recorder's logs, and none of its keys."""
     scene.start(box)
     # A log that is whole, beside the one that is being written.
     box.run("systemctl restart cruiser-recorder")

@@ -1,4 +1,4 @@
-"""From a Debian with nothing but the package to a drive in signed mode, by what docs/install.md says."""
+"""From a bare Debian to a drive in signed mode, by docs/install.md."""
 
 import os
 import shutil
@@ -32,7 +32,7 @@ WELL: Final = "standing, feedback complete, guarded, recording, authority valid 
 
 
 def install_beside(box: Box) -> None:
-    """Give desk and exporter their certificates, as docs/install.md says of a depot."""
+    """Give desk and exporter their certificates, as docs/install.md does at a depot."""
     for service, file in BESIDE.items():
         bundle, keys = f"/run/{service}.bundle", f"/etc/cruiser/{service}"
         box.run(f"install -m 0644 /run/box/{service}.bundle {bundle}")
@@ -45,10 +45,6 @@ def install_beside(box: Box) -> None:
 def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
     fresh_box: Box, outside: Outside, tmp_path: Path
 ) -> None:
-    """Keys never leave the box, the authority is outside, setup asks nothing; and it drives after a boot, too.
-
-    Router, desk and exporter come back with it, and the router after it was killed.
-    """
     box = fresh_box
     box.boot()
     box.wait_up()

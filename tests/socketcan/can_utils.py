@@ -1,4 +1,4 @@
-"""The programs of can-utils, as peers on the bus that know nothing of us."""
+"""can-utils as independent peers on the bus."""
 
 import re
 import subprocess
@@ -14,7 +14,7 @@ _MARK: Final = 0x7FF
 
 
 class Dumped(NamedTuple):
-    """A line of candump. ``can_id`` is the identifier as it stands there, ``at_us`` the kernel's receive time."""
+    """A line of candump; ``at_us`` is the kernel's receive time."""
 
     at_us: int
     can_id: int
@@ -22,10 +22,7 @@ class Dumped(NamedTuple):
 
 
 class Candump:
-    """``candump -L`` into a file. ``frames`` reads what it has written so far; the mark is left out.
-
-    ``filters`` are candump's own, ``IDENTIFIER:MASK``: a frame that is not asked for costs nothing.
-    """
+    """``candump -L`` into a file; ``filters`` are candump's, ``IDENTIFIER:MASK``."""
 
     def __init__(self, channel: str, path: Path, *filters: str) -> None:
         self.path = path
@@ -61,6 +58,6 @@ class Candump:
 
 
 def send(channel: str, can_id: int, data: bytes) -> None:
-    """One frame by ``cansend``; identifiers up to 0x7FF are standard ones."""
+    """Send a frame by ``cansend``; identifiers up to 0x7FF are standard ones."""
     identifier = f"{can_id:03X}" if can_id <= _MARK else f"{can_id:08X}"
     subprocess.run(["cansend", channel, f"{identifier}#{data.hex().upper()}"], check=True, timeout=30)

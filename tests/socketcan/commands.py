@@ -1,4 +1,4 @@
-"""Command frames as candump shows them, read by hand from the chassis's manual, without the gateway's own code."""
+"""Command frames of candump, decoded by the chassis's manual, without the gateway's code."""
 
 import statistics
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ ANGLE_DEG_PER_BIT: Final = 0.043945
 
 
 class Told(NamedTuple):
-    """What a burst tells the chassis. The speed is unscaled."""
+    """The content of a burst, its speed unscaled."""
 
     at_us: int
     enables: tuple[bool, ...]
@@ -49,17 +49,15 @@ class Told(NamedTuple):
 
 
 def of(frames: Iterable[Dumped]) -> list[Dumped]:
-    """The command frames among them."""
     return [frame for frame in frames if frame.can_id in ALL]
 
 
 def counter(frame: Dumped) -> int:
-    """The alive counter, bits 52..55."""
     return _bits(frame, 52, 4)
 
 
 def bursts(frames: list[Dumped]) -> list[Told]:
-    """Command frames as bursts, each of its five in their order, with nothing of these after them."""
+    """Split command frames into bursts: the five in their order, then auxiliary ones."""
     begun = [place for place, frame in enumerate(frames) if frame.can_id == BURST[0]]
     assert not frames or begun[:1] == [0], "it begins within a burst"
     told = []
@@ -72,7 +70,7 @@ def bursts(frames: list[Dumped]) -> list[Told]:
 
 
 def check_bytes(frames: Iterable[Dumped]) -> None:
-    """Eight bytes each, the last the XOR of the others, and no bit set that the manual does not have."""
+    """Check for eight bytes, the XOR checksum, and no bit that the manual does not define."""
     for frame in frames:
         assert len(frame.data) == 8, frame
         assert reduce(xor, frame.data) == 0, frame
@@ -81,7 +79,6 @@ def check_bytes(frames: Iterable[Dumped]) -> None:
 
 
 def check_counters(frames: Iterable[Dumped]) -> None:
-    """For each identifier each counter is the one before plus one, modulo 16."""
     last: dict[int, int] = {}
     for frame in frames:
         if frame.can_id in last:
@@ -90,12 +87,11 @@ def check_counters(frames: Iterable[Dumped]) -> None:
 
 
 def stands(frame: Dumped) -> bool:
-    """What wheel speeds of the fine variant are at rest: 32768 each."""
+    """Report whether wheel speeds of the fine variant are at rest: 32768 each."""
     return (_bits(frame, 8, 16), _bits(frame, 24, 16)) == (0x8000, 0x8000)
 
 
 def median_period_ms(told: list[Told]) -> float:
-    """From one burst to the next."""
     return statistics.median(later.at_us - earlier.at_us for earlier, later in pairwise(told)) / 1e3
 
 

@@ -1,4 +1,4 @@
-"""The fixtures of this directory, which a plain pytest passes by: ``run`` gives it a kernel with CAN."""
+"""Fixtures for ``run``, which provides a kernel with CAN; a plain pytest skips this directory."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,26 +13,24 @@ from tests.support.processes.busy import PATIENT_DEADMAN_S
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Gateways that wait for their operator as long as their settings allow: processes may be late here."""
+    """Gateways with the longest deadman: processes may be late here."""
     monkeypatch.setenv("CRUISER_COMMAND_DEADMAN_S", str(PATIENT_DEADMAN_S))
 
 
 @pytest.fixture
 def vcan() -> Iterator[Vcan]:
-    """A CAN interface of the test's own."""
     with Vcan() as interface:
         yield interface
 
 
 @pytest.fixture
 def candump(vcan: Vcan, tmp_path: Path) -> Iterator[Candump]:
-    """Somebody who writes down what is on it, from before anybody else is there."""
     with Candump(vcan.name, tmp_path / "candump.log") as dump:
         yield dump
 
 
 @pytest.fixture
 def witness(vcan: Vcan, tmp_path: Path) -> Iterator[Candump]:
-    """Somebody who writes down the commands, and the wheel speeds, 20 frames/s."""
+    """Candump of the commands, and of the wheel speeds, 20 frames/s."""
     with Candump(vcan.name, tmp_path / "candump.log", FILTER, f"{WHEEL_SPEEDS:08X}:1FFFFFFF") as dump:
         yield dump

@@ -1,4 +1,4 @@
-"""A subscriber that hears what a gateway says of itself and of its bus."""
+"""A subscriber to what a gateway publishes."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,13 +17,7 @@ _ROBOT: Final = "fleet/cruiser-1/"
 
 
 class Hearing:
-    """What has come so far.
-
-    Attributes:
-        bus_up: of each ``state``, in their order.
-        healths: each ``gateway/health``.
-        raw: the frames of ``can/can0/rx``, with their times.
-    """
+    """Received ``state``, ``gateway/health`` and raw frames of ``can/can0/rx``."""
 
     def __init__(self, session: zenoh.Session, names: tuple[str, ...]) -> None:
         handler = zenoh.handlers.FifoChannel
@@ -49,7 +43,6 @@ class Hearing:
         wait_until(condition, hear_and_act)
 
     def wait_healthy(self, condition: Callable[[GatewayHealth], bool]) -> GatewayHealth:
-        """The first health from now on that is so."""
         self.hear()
         begun = len(self.healths)
         self.wait(lambda: any(condition(health) for health in self.healths[begun:]))
@@ -70,7 +63,6 @@ class Hearing:
 
 @contextmanager
 def hearing(endpoint: str, *names: str) -> Iterator[Hearing]:
-    """A subscriber of these subjects, that the gateway knows."""
     session = open_session(ZenohSettings(mode="client"), [endpoint], [])
     try:
         heard = Hearing(session, names)

@@ -8,8 +8,6 @@ _NUMBERS: Final = itertools.count()
 
 
 class Vcan:
-    """An interface of its own, up, until the block ends."""
-
     def __init__(self) -> None:
         self.name = f"vcan{next(_NUMBERS)}"
         self.create()
@@ -23,11 +21,9 @@ class Vcan:
 
     @property
     def exists(self) -> bool:
-        """The kernel has it, up or down."""
         return subprocess.run(["ip", "link", "show", self.name], capture_output=True, check=False).returncode == 0
 
     def create(self) -> None:
-        """Make it anew, and up."""
         _ip("link", "add", self.name, "type", "vcan")
         self.up()
 
@@ -38,12 +34,11 @@ class Vcan:
         _ip("link", "set", self.name, "down")
 
     def remove(self) -> None:
-        """Take it away, as an adapter that is pulled out."""
         _ip("link", "delete", self.name)
 
 
 class Cable:
-    """Two ends that hear each other while both are up. The chassis and a witness are at the ``far`` one."""
+    """Two connected interfaces. The chassis and a witness are at the ``far`` end."""
 
     def __init__(self) -> None:
         number = next(_NUMBERS)
@@ -59,11 +54,9 @@ class Cable:
         _ip("link", "delete", self.near)
 
     def up(self) -> None:
-        """The near end."""
         _ip("link", "set", self.near, "up")
 
     def down(self) -> None:
-        """The near end."""
         _ip("link", "set", self.near, "down")
 
 

@@ -19,14 +19,14 @@ IDLE_COLUMN: Final = 4
 
 
 def both(ticks: Callable[[], int]) -> tuple[float, int]:
-    """Counter and clock at one time: of many tries the one that took least."""
+    """Read counter and clock at the same time, by the quickest of many tries."""
     tries = [(ticks(), time.monotonic_ns(), ticks()) for _ in range(TRIES)]
     before, now_ns, after = min(tries, key=lambda tried: tried[2] - tried[0])
     return (before + after) / 2, now_ns
 
 
 def idle() -> dict[int, int]:
-    """How long each processor that this process may use has had nothing to do, in the kernel's ticks."""
+    """Return the idle time of each usable processor, in kernel ticks."""
     rows = [line.split() for line in Path("/proc/stat").read_text(encoding="ascii").splitlines()]
     columns = {row[0]: row for row in rows}
     return {number: int(columns[f"cpu{number}"][IDLE_COLUMN]) for number in os.sched_getaffinity(0)}

@@ -32,7 +32,7 @@ SEEN_OVERCOME: Final = frozenset({Reason.NO_LEASE, Reason.NOT_ENGAGED})
 
 @contextmanager
 def chassis(channel: str, *words: str) -> Iterator[Running]:
-    """A virtual chassis that is on the bus. As it stands for a computer of its own, it waits for no other."""
+    """A virtual chassis on the bus, with priority: it stands for a separate computer."""
     with Running("sim", "--interface", "socketcan", "--channel", channel, *words) as sim:
         sim.wait_says(r"chassis on socketcan")
         come_first(sim.process.pid, CHASSIS)
@@ -49,21 +49,19 @@ def gateway(channel: str, endpoint: str, *words: str) -> Iterator[Running]:
 
 @contextmanager
 def operator(endpoint: str, robot: str = "cruiser-1", name: str = "first") -> Iterator[Robot]:
-    """An operator who hears the robot."""
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with Robot.connect(robot, name, settings, CONNECT_S) as connected:
         yield connected
 
 
 def wait_engageable(robot: Robot) -> None:
-    """Wait until nothing but its operator is missing, and a guard watches."""
     assert robot.wait_for(lambda state: state.guarded and set(state.blocked_by) <= SEEN_OVERCOME, STEADY_S), (
         robot.state().state
     )
 
 
 class Drive:
-    """A robot under way. ``keep`` has to be called all the time: its operator's stream ends without it."""
+    """A robot under way. Call ``keep`` all the time, or its command stream ends."""
 
     def __init__(self, lease: Lease, speed_mps: float, angle_deg: float) -> None:
         self.lease = lease
@@ -76,7 +74,7 @@ class Drive:
 
 @contextmanager
 def coming_first() -> Iterator[None]:
-    """This process is the operator's: no robot waits for it."""
+    """Give this process, the operator's, priority."""
     come_first(os.getpid(), PEER)
     try:
         yield
@@ -85,7 +83,6 @@ def coming_first() -> Iterator[None]:
 
 
 def _is_reset(lease: Lease) -> bool:
-    """Clear what is latched, as soon as it may be."""
     try:
         lease.reset()
     except Refused:
@@ -95,11 +92,7 @@ def _is_reset(lease: Lease) -> bool:
 
 @contextmanager
 def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[Drive]:
-    """The robot is engaged, and told this speed steadily.
-
-    Whatever holds user-mode Linux up for a tenth of a second stops a robot: until it is under way, it is engaged
-    again.
-    """
+    """Engage and drive the robot, again after a stop because user-mode Linux was held up."""
     with robot.lease() as lease, coming_first():
         for tries_left in reversed(range(TRIES)):
             wait_engageable(robot)
@@ -118,5 +111,4 @@ def driving(robot: Robot, speed_mps: float, angle_deg: float = 0.0) -> Iterator[
 
 
 def wait_standing_by(robot: Robot) -> None:
-    """Wait until the stop under way has ended."""
     assert robot.wait_for(lambda state: state.state is ArbiterState.STANDBY, STEADY_S), robot.state().state

@@ -1,4 +1,4 @@
-"""A CAN interface of the kernel whose adapter is this test: a serial line (slcan), and we are at its other end."""
+"""A kernel CAN interface on a serial line (slcan), whose adapter is the test."""
 
 import fcntl
 import os
@@ -18,10 +18,7 @@ _FILLING: Final = b"x" * 64
 
 
 class SerialAdapter:
-    """An interface that is up, and sends what it is given to us.
-
-    While its line is full of ``_FILLING`` it can send nothing, and frames wait, as for a bus that is busy.
-    """
+    """An interface whose sent frames are read here. While its line is full of ``_FILLING`` frames wait."""
 
     def __init__(self) -> None:
         self._adapter, self._line = pty.openpty()
@@ -45,7 +42,7 @@ class SerialAdapter:
 
     @property
     def frames(self) -> list[tuple[int, bytes]]:
-        """Extended frames that have left so far, each with its identifier. Once read, the line is free."""
+        """Extended frames sent so far. Reading them frees the line."""
         try:
             while True:
                 self._received += os.read(self._adapter, _READ_BYTES)
@@ -56,7 +53,7 @@ class SerialAdapter:
         return [(int(line[1:9], 16), bytes.fromhex(line[10:].decode("ascii"))) for line in whole]
 
     def report(self, state: str, *, receive_errors: int, send_errors: int) -> None:
-        """As the adapter: the controller's state is ``a``, ``w``, ``p`` or ``b``, its error counters are these."""
+        """Report the controller's state ``a``, ``w``, ``p`` or ``b``, and its error counters."""
         os.write(self._adapter, f"s{state}{receive_errors:03d}{send_errors:03d}\r".encode("ascii"))
 
     def restart(self) -> None:

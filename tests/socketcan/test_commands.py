@@ -27,7 +27,6 @@ FINE_RAW_PER_MPS = 1000
 
 
 def test_commands_are_on_the_wire_as_the_manual_has_them(vcan: Vcan, witness: Candump) -> None:
-    """Identifiers, layout, XOR, counters, the order of a burst, its period: from the first frame to the last."""
     endpoint = free_endpoint()
     with (
         chassis(vcan.name, "--variant", "fine"),
@@ -64,7 +63,6 @@ def test_commands_are_on_the_wire_as_the_manual_has_them(vcan: Vcan, witness: Ca
 
 
 def test_a_gateway_that_stands_by_is_silent(vcan: Vcan, witness: Candump) -> None:
-    """Not a frame, though it is asked for things that it refuses."""
     endpoint = free_endpoint()
     with chassis(vcan.name), gateway(vcan.name, endpoint) as running, operator(endpoint) as robot:
         wait_engageable(robot)
@@ -90,7 +88,6 @@ RECEIVE_PASSIVE: Final = ERROR | 0x4, bytes.fromhex("0010000000000080")
 
 
 def of_controller(events: list[SafetyEvent]) -> list[tuple[Severity, Reason, str]]:
-    """What was told of it."""
     reasons = {Reason.BUS_OFF, Reason.BUS_ERRORS}
     return [
         (event.severity, event.reason, event.text)
@@ -102,7 +99,6 @@ def of_controller(events: list[SafetyEvent]) -> list[tuple[Severity, Reason, str
 def test_off_the_bus_a_driven_robot_stops_and_may_be_engaged_again_when_it_is_back(
     vcan: Vcan, witness: Candump
 ) -> None:
-    """The stop has that reason, and engaging is refused for it until the controller has started again."""
     endpoint = free_endpoint()
     with (
         chassis(vcan.name, "--variant", "fine"),
@@ -137,7 +133,7 @@ def test_off_the_bus_a_driven_robot_stops_and_may_be_engaged_again_when_it_is_ba
 
 
 def is_blocked(robot: Robot, reason: Reason) -> bool:
-    """It is heard to say so; one that comes last may be silent for a while."""
+    """Report whether the robot is blocked for this reason; a late robot may be silent."""
     try:
         return reason in robot.state().state.blocked_by
     except Unreachable:
@@ -145,7 +141,7 @@ def is_blocked(robot: Robot, reason: Reason) -> bool:
 
 
 def refusal_to_engage(robot: Robot) -> str:
-    """The refusal in words. Empty where a request is not answered in time, as by a robot that comes last."""
+    """Return the refusal; empty if the request is not answered in time."""
     try:
         with robot.lease() as lease:
             lease.engage()
@@ -157,10 +153,7 @@ def refusal_to_engage(robot: Robot) -> str:
 
 
 def test_the_second_gateway_does_not_engage_beside_the_first(vcan: Vcan, witness: Candump, tmp_path: Path) -> None:
-    """It hears the first one's frames, says so, refuses, and sends none; the first stops for one frame of a third.
-
-    The second one stands for another computer: it does not take the processor from the first.
-    """
+    """The second one stands for another computer, and must not take the processor from the first."""
     settings = tmp_path / "second.toml"
     settings.write_text("[gateway]\nrealtime_priority = 0\n", encoding="ascii")
     endpoints = free_endpoint(), free_endpoint()
@@ -199,7 +192,6 @@ def findings(channel: str, *words: str) -> dict[str, str]:
 def test_an_interface_is_missing_down_silent_and_well_in_turn(
     vcan: Vcan, candump: Candump, tmp_path: Path
 ) -> None:
-    """Without a gateway; and nothing is sent meanwhile by anybody but the chassis."""
     logs = ["--logs", str(tmp_path)]
     assert "interface_missing" in findings("nowhere0", *logs)
     vcan.down()
@@ -216,7 +208,6 @@ def test_an_interface_is_missing_down_silent_and_well_in_turn(
 
 
 def test_error_frames_alone_are_another_bit_rate(vcan: Vcan, tmp_path: Path) -> None:
-    """As a controller makes them that hears nothing it understands."""
     with Running("doctor", "--json", "--channel", vcan.name, "--logs", str(tmp_path)) as doctor:
         while doctor.process.poll() is None:
             send(vcan.name, *RECEIVE_PASSIVE)

@@ -28,7 +28,6 @@ PARKING: Final = "Auto_ParkingFeedBack"
 
 @pytest.fixture(autouse=True)
 def places(vcan: Vcan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Settings and directory that the early stop shares with the gateway."""
     settings = tmp_path / "cruiser.toml"
     settings.write_text(f'[can]\nchannel = "{vcan.name}"\n', encoding="ascii")
     monkeypatch.setenv("CRUISER_CONFIG", str(settings))
@@ -37,7 +36,7 @@ def places(vcan: Vcan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @contextmanager
 def early(*words: str) -> Iterator[subprocess.Popen[str]]:
-    """The early stop as its unit starts it, but for the interpreter."""
+    """Run the early stop as its unit does, apart from the interpreter."""
     command = [sys.executable, "-I", "-S", "-E", early_stop.__file__, *words]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -48,7 +47,7 @@ def early(*words: str) -> Iterator[subprocess.Popen[str]]:
 
 @pytest.fixture
 def left(vcan: Vcan, witness: Candump) -> Iterator[Vcan]:
-    """A chassis that moves by the last burst of a computer whose power then went; of its brake it says nothing."""
+    """A chassis that moves by the last command of a computer without power, and sends no parking feedback."""
     with chassis(vcan.name, "--variant", "fine", "--fault", f"silence {PARKING}"):
         told = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=SPEED_MPS, parking=False)
         for frame in FrameMaker().make(told, [], Variant.FINE):
@@ -58,13 +57,11 @@ def left(vcan: Vcan, witness: Candump) -> Iterator[Vcan]:
 
 
 def moves(witness: Candump) -> bool:
-    """By the newest wheel speeds."""
     wheels = [frame for frame in witness.frames if frame.can_id == commands.WHEEL_SPEEDS]
     return bool(wheels) and not commands.stands(wheels[-1])
 
 
 def check_stop(witness: Candump) -> None:
-    """One stop after the burst of before: whole bursts of zero speed, down to disabled frames."""
     sent = commands.of(witness.frames)[MOTION_FRAMES:]
     commands.check_bytes(sent)
     commands.check_counters(sent)
@@ -76,7 +73,6 @@ def check_stop(witness: Candump) -> None:
 
 
 def test_a_robot_that_was_left_in_motion_is_stopped(left: Vcan, witness: Candump, tmp_path: Path) -> None:
-    """By the file alone; the note says so, and a look says before that it moves, and afterwards nothing."""
     with early("--look", left.name) as looking:
         assert looking.wait(30) == early_stop.MOVES
     with early(left.name) as process:
@@ -91,7 +87,6 @@ def test_a_robot_that_was_left_in_motion_is_stopped(left: Vcan, witness: Candump
 def test_a_gateway_that_starts_during_the_stop_leaves_it_to_it(
     left: Vcan, witness: Candump, tmp_path: Path
 ) -> None:
-    """It takes its frames for a guard's, sends none beside them, and wants a reset; the early stop ends for it."""
     endpoint = free_endpoint()
     with (
         early(left.name) as process,
@@ -107,7 +102,6 @@ def test_a_gateway_that_starts_during_the_stop_leaves_it_to_it(
 
 
 def test_it_waits_for_an_interface_that_is_not_there_yet(vcan: Vcan) -> None:
-    """It begins with the boot, before the network."""
     vcan.remove()
     with early(vcan.name) as process:
         vcan.create()
@@ -118,5 +112,4 @@ def test_it_waits_for_an_interface_that_is_not_there_yet(vcan: Vcan) -> None:
 
 
 def note(directory: Path) -> str:
-    """What is in the note."""
     return "".join(path.read_text("utf-8") for path in directory.glob("*.guard-stop"))

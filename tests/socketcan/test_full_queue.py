@@ -1,4 +1,4 @@
-"""A bus that takes nothing: an interface of the kernel whose adapter does not send."""
+"""A bus that accepts nothing: a kernel interface whose adapter does not send."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +25,6 @@ TRIES: Final = 100
 
 @contextmanager
 def opened(adapter: SerialAdapter) -> Iterator[SocketCanBus]:
-    """The bus of an adapter."""
     bus = SocketCanBus(open_socket(adapter.name))
     try:
         yield bus
@@ -38,7 +37,7 @@ def numbered(number: int) -> Frame:
 
 
 def taken(bus: SocketCanBus, first: int) -> list[int]:
-    """The numbers of the frames that a bus took of so many."""
+    """Return the numbers of the frames that the bus accepted."""
     numbers = []
     for number in range(first, first + TRIES):
         try:
@@ -50,7 +49,6 @@ def taken(bus: SocketCanBus, first: int) -> list[int]:
 
 
 def test_a_tick_waits_for_the_bus_and_no_more() -> None:
-    """What it does not take is refused at once, again and again, and never sent: then the next ones are."""
     with SerialAdapter() as adapter, opened(adapter) as bus:
         first = taken(bus, 0)
         # Kernels count a frame as 770 to 900 bytes.
@@ -71,7 +69,6 @@ def test_a_tick_waits_for_the_bus_and_no_more() -> None:
     ],
 )
 def test_a_drivers_own_error_frames_tell_its_state(letter: str, errors: int, state: ControllerState) -> None:
-    """The kernel makes them of what its driver reports; and it comes back."""
     with SerialAdapter() as adapter, opened(adapter) as bus:
         adapter.report(letter, receive_errors=0, send_errors=errors)
         assert told(bus) is state
@@ -80,7 +77,6 @@ def test_a_drivers_own_error_frames_tell_its_state(letter: str, errors: int, sta
 
 
 def test_off_the_bus_frames_are_thrown_away() -> None:
-    """Once the kernel has seen it the queue takes everything, and nothing of that leaves when it is up again."""
     with SerialAdapter() as adapter:
         with opened(adapter) as bus:
             assert len(taken(bus, 0)) >= TICK_FRAMES + IN_THE_ADAPTER
@@ -95,7 +91,6 @@ def test_off_the_bus_frames_are_thrown_away() -> None:
 
 
 def told(bus: SocketCanBus) -> ControllerState | None:
-    """What the next frame says of the controller."""
     frame = bus.receive(10)
     assert frame is not None
     return controller_state(frame)

@@ -1,4 +1,4 @@
-"""The interface of a gateway goes, and comes again."""
+"""The loss and return of a gateway's interface."""
 
 import itertools
 from collections.abc import Callable
@@ -30,12 +30,12 @@ LONG_STATES: Final = 80
 
 
 def changes(values: list[bool]) -> list[bool]:
-    """Each value once for as long as it lasted."""
+    """Return each value once per run of equal values."""
     return [value for value, _ in itertools.groupby(values)]
 
 
 def wait_long(heard: Hearing) -> None:
-    """So long that whatever is tried again has been tried."""
+    """Wait longer than the longest pause between retries."""
     heard.hear()
     begun = len(heard.bus_up)
     heard.wait(lambda: len(heard.bus_up) >= begun + LONG_STATES)
@@ -46,7 +46,6 @@ def speed_raw(drive: Dumped) -> int:
 
 
 def is_at_rest(robot: Robot, witness: Candump) -> bool:
-    """The chassis stands and is not in auto, and nobody has told it anything for a while."""
     seen = robot.state()
     stands = seen.chassis is not None and (seen.chassis.mode, seen.chassis.speed_mps) == (Mode.STOP, 0)
     told = commands.of(witness.frames)
@@ -55,10 +54,7 @@ def is_at_rest(robot: Robot, witness: Candump) -> bool:
 
 
 def wait_cleared(robot: Robot) -> None:
-    """Wait until it can be engaged, after a reset if it was the guard that stopped it.
-
-    Gateway and guard have the bus again at the same time. Who is first stops the robot.
-    """
+    """Wait until it can be engaged, after a reset if the guard was the first to stop it."""
     if robot.state().state.latched:
         with robot.lease() as lease:
             lease.reset()
@@ -66,10 +62,6 @@ def wait_cleared(robot: Robot) -> None:
 
 
 def test_a_cable_that_is_off_for_a_while_is_one_loss_and_its_robot_is_stopped(tmp_path: Path) -> None:
-    """It is told that the bus is down, once and all the time; then it brings to rest a robot that still obeys.
-
-    The chassis hears nothing while the interface is down, and keeps its last command.
-    """
     endpoint = free_endpoint()
     with (
         Cable() as cable,
@@ -121,7 +113,6 @@ def test_a_cable_that_is_off_for_a_while_is_one_loss_and_its_robot_is_stopped(tm
 def test_a_gateway_starts_without_its_interface_if_told_to(
     vcan: Vcan, go: Callable[[Vcan], None], come: Callable[[Vcan], None], why: str
 ) -> None:
-    """Else it ends with one line that says how to mend it. If told to, it goes on when the interface is there."""
     go(vcan)
     why = why.format(vcan.name)
     endpoint = free_endpoint()

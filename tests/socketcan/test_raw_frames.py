@@ -1,4 +1,4 @@
-"""A gateway on a bus that others use too, with ``can.raw_frames`` and without, and with more than it can read."""
+"""A gateway on a shared bus, with and without ``can.raw_frames``, and on a flooded bus."""
 
 import signal
 import subprocess
@@ -30,20 +30,18 @@ EXACT: Final = Path("/proc/net/can/rcvlist_eff")
 
 @pytest.fixture
 def only_chassis(tmp_path: Path) -> list[str]:
-    """The configuration without raw frames."""
     path = tmp_path / "cruiser.toml"
     path.write_text("[can]\nraw_frames = false\n", encoding="ascii")
     return ["--config", str(path)]
 
 
 def asking(path: Path, channel: str) -> list[int]:
-    """The identifiers that are asked for on an interface; 0 where all are."""
+    """Return the identifiers requested on an interface; 0 for all."""
     rows = [line.split() for line in path.read_text(encoding="ascii").splitlines()]
     return sorted(int(row[1], 16) for row in rows if row[:1] == [channel])
 
 
 def test_raw_frames_have_the_kernels_receive_times(vcan: Vcan, candump: Candump) -> None:
-    """To the microsecond those that candump has for the same frames, in the same order."""
     endpoint = free_endpoint()
     with gateway(vcan.name, endpoint), hearing(endpoint, "gateway/health", "can/can0/rx") as heard:
         with chassis(vcan.name):
@@ -60,7 +58,6 @@ def halt(vcan: Vcan) -> Iterator[None]:
 
 
 def test_who_asks_the_kernel_for_what(vcan: Vcan, only_chassis: list[str]) -> None:
-    """A gateway for all or, without raw frames, for the chassis's identifiers; its guard and halt for these."""
     one = sorted(load(Variant.COARSE).identifiers)
     asked = {
         gateway(vcan.name, free_endpoint()): ([0], one),
@@ -74,7 +71,6 @@ def test_who_asks_the_kernel_for_what(vcan: Vcan, only_chassis: list[str]) -> No
 
 
 def wait_asked(vcan: Vcan, everything: list[int], identifiers: list[int]) -> None:
-    """Wait until that is asked for on an interface."""
     wait_until(lambda: (asking(ALL, vcan.name), asking(EXACT, vcan.name)) == (everything, identifiers))
 
 
@@ -86,7 +82,7 @@ GROWTH_KB: Final = 4_096
 
 
 def flood(vcan: Vcan, running: Running) -> None:
-    """Frames of any identifier as fast as they can be made, for a gateway that stands still meanwhile."""
+    """Send frames of any identifier as fast as possible while the gateway is stopped."""
     running.process.send_signal(signal.SIGSTOP)
     command = ["cangen", vcan.name, "-g", "0", "-n", str(FLOOD), "-e"]
     subprocess.run(command, check=True, timeout=100)
@@ -99,14 +95,12 @@ def memory_kb(running: Running) -> int:
 
 
 def count(heard: Hearing, before: int) -> tuple[int, int]:
-    """The frames read and those dropped, once more were read than before and no more are waiting."""
     heard.wait_healthy(lambda health: health.frames > before)
     health = heard.wait_healthy(lambda health: health.frames_per_s == 0)
     return health.frames, health.bus_drops
 
 
 def test_what_the_kernel_drops_is_counted_to_the_frame(vcan: Vcan) -> None:
-    """Read and dropped are all that were sent, flood after flood; and it goes on, no larger than it was."""
     endpoint = free_endpoint()
     with gateway(vcan.name, endpoint) as running, hearing(endpoint, "gateway/health") as heard:
         sent = read = 0

@@ -41,7 +41,6 @@ SATURATED_HZ: Final = 7_500
 def opened(
     vcan: Vcan, identifiers: Collection[int] = (), *, fd: bool = False
 ) -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """The bus, and its socket."""
     below = open_socket(vcan.name, identifiers, fd=fd)
     bus = SocketCanBus(below)
     try:
@@ -55,7 +54,6 @@ def cansend(vcan: Vcan, text: str) -> None:
 
 
 def cangen(vcan: Vcan, count: int) -> None:
-    """So many frames by ``cangen``, as fast as it can."""
     command = ["cangen", vcan.name, "-g", "0", "-n", str(count), "-e", "-I", "18C4D1EF", "-L", "8"]
     subprocess.run(command, check=True, timeout=100)
 
@@ -66,17 +64,13 @@ def waiting(bus: SocketCanBus) -> list[Frame]:
 
 
 def dumped(candump: Candump) -> list[tuple[int, str]]:
-    """The time in microseconds and the frame of each line, but for candump's mark.
-
-    Of the flags of CAN FD some kernels have the one that says it is CAN FD, which the two signs do already.
-    """
+    """Return time in microseconds and frame of each line, without the FD flag that only some kernels set."""
     text = re.sub("##(.)", lambda flags: f"##{int(flags[1], 16) & 3}", candump.path.read_text(encoding="ascii"))
     lines = [line.split() for line in text.splitlines()]
     return [(int(at.strip("()").replace(".", "")), text) for at, _, text in lines if text != "7FF#"]
 
 
 def test_every_kind_of_frame_is_read_as_it_was_sent(vcan: Vcan, candump: Candump) -> None:
-    """Standard, extended, remote and CAN FD frames by cansend; and with the kernel's time, as candump has it."""
     with opened(vcan, fd=True) as (bus, _):
         for text in FRAMES:
             cansend(vcan, text)
@@ -89,7 +83,6 @@ def test_every_kind_of_frame_is_read_as_it_was_sent(vcan: Vcan, candump: Candump
 
 
 def test_every_kind_of_frame_is_sent_as_it_is(vcan: Vcan, candump: Candump) -> None:
-    """Candump shows each as it would have been typed; and none comes back to its sender."""
     with opened(vcan, fd=True) as (bus, _):
         for frame in FRAMES.values():
             bus.send(frame)
@@ -99,7 +92,6 @@ def test_every_kind_of_frame_is_sent_as_it_is(vcan: Vcan, candump: Candump) -> N
 
 
 def test_a_second_of_a_saturated_bus_may_wait_unread(vcan: Vcan) -> None:
-    """The buffer that is asked for holds it, whatever net.core.rmem_max says."""
     with opened(vcan) as (bus, _):
         cangen(vcan, SATURATED_HZ)
         assert len(waiting(bus)) == SATURATED_HZ
@@ -109,7 +101,6 @@ def test_a_second_of_a_saturated_bus_may_wait_unread(vcan: Vcan) -> None:
 
 
 def test_a_filter_passes_its_identifiers_and_errors_alone(vcan: Vcan) -> None:
-    """Not the same number as the other kind of identifier, not a neighbour, not a request for it."""
     with opened(vcan, {EXTENDED | 0x18C4D1EF, EXTENDED | 0x123, 0x1EF}) as (bus, _):
         for text in (
             *("18C4D1EF#01", "18C4D1EE#02", "08C4D1EF#03", "18C4D1EF#R8"),
@@ -128,7 +119,6 @@ def test_a_filter_passes_its_identifiers_and_errors_alone(vcan: Vcan) -> None:
 
 
 def test_an_interface_that_goes_down_is_told_once_by_reading(vcan: Vcan) -> None:
-    """Who waits for a frame is woken by it."""
     with opened(vcan) as (bus, _):
         vcan.down()
         with pytest.raises(BusLost, match="the interface is down"):

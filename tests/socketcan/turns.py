@@ -1,4 +1,4 @@
-"""Who has the processor first, where one processor has to stand for several computers, as in user-mode Linux."""
+"""Priorities of processes, where one processor stands for several computers, as in user-mode Linux."""
 
 import os
 from collections.abc import Iterator
@@ -15,17 +15,16 @@ LAST: Final = 10
 
 
 def come_first(pid: int, priority: int) -> None:
-    """All threads of a process, but not its children, come before the gateway's. In vain for who is not root."""
+    """Run a process's threads before the gateway's; without effect unless root."""
     _schedule(pid, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, priority)
 
 
 def come_as_usual(pid: int) -> None:
-    """As any process."""
     _schedule(pid, os.SCHED_OTHER, 0)
 
 
 def come_last(pid: int) -> None:
-    """A process, and those that it has started, have what the others leave."""
+    """Run a process and its children after all others."""
     for task in _tasks(pid):
         os.setpriority(os.PRIO_PROCESS, int(task.name), LAST)
         for child in (task / "children").read_text(encoding="ascii").split():

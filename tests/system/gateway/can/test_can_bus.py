@@ -26,7 +26,6 @@ from tests.support.waiting import DEADLINE_S, wait_until
 
 
 def comes_true(within_s: float, condition: Callable[[], bool]) -> bool:
-    """Wait for a condition that need not come true."""
     deadline_s = time.monotonic() + within_s
     while not (holds := condition()) and time.monotonic() < deadline_s:
         time.sleep(0.002)
@@ -34,13 +33,11 @@ def comes_true(within_s: float, condition: Callable[[], bool]) -> bool:
 
 
 def waiting_bytes(stream: socket.socket) -> int:
-    """What was given to a socket and has not arrived at the other side."""
     (count,) = struct.unpack("@i", fcntl.ioctl(stream, termios.TIOCOUTQ, bytes(4)))
     return int(count)
 
 
 def test_no_server_is_a_lost_bus() -> None:
-    """A refused connection is told at once."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(BusLost, match="no server there"):
@@ -51,7 +48,7 @@ def test_no_server_is_a_lost_bus() -> None:
 def server(
     greeting: bytes, answers: int = 2, answer: bytes = b"< ok >", last: bytes = b"", host: str = "127.0.0.1"
 ) -> Iterator[tuple[str, Callable[[], None]]]:
-    """A TCP server that greets in two segments, answers so many lines, the last with more, and hangs up."""
+    """A TCP server that greets in two segments, answers this many lines, and is then silent."""
     hang_up = threading.Event()
 
     def serve() -> None:
@@ -102,7 +99,6 @@ def server(
 def test_a_server_that_does_not_open_the_bus_is_told(
     monkeypatch: pytest.MonkeyPatch, greeting: bytes, answers: int, answer: bytes, why: str
 ) -> None:
-    """Whatever else listens there, falls silent or refuses: nobody waits for ever."""
     monkeypatch.setattr("gateway.can.can_bus.HANDSHAKE_TIMEOUT_S", 0.5)
     with server(greeting, answers, answer) as (channel, _), pytest.raises(BusLost, match=f"{channel}: .*{why}"):
         open_bus(CanSettings(interface="socketcand", channel=channel))
@@ -110,7 +106,6 @@ def test_a_server_that_does_not_open_the_bus_is_told(
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "[::1]"])
 def test_frames_right_behind_the_handshake_are_frames(host: str) -> None:
-    """On a busy bus they come in one segment with the answer; by IPv6 too."""
     with server(b"< hi >", last=b"< frame 18C4D1EF 23.424242 0102030405060708 >", host=host) as (channel, _):
         bus = open_bus(CanSettings(interface="socketcand", channel=channel))
         try:
@@ -133,7 +128,6 @@ def test_frames_right_behind_the_handshake_are_frames(host: str) -> None:
     ],
 )
 def test_a_message_that_cannot_be_read_costs_no_other(broken: bytes) -> None:
-    """It is dropped and counted."""
     frame = b"< frame 18C4D1EF 23.424242 0102030405060708 >"
     with server(b"< hi >", last=frame + broken + frame + frame) as (channel, _):
         bus = open_bus(CanSettings(interface="socketcand", channel=channel))
@@ -146,7 +140,6 @@ def test_a_message_that_cannot_be_read_costs_no_other(broken: bytes) -> None:
 
 
 def test_a_server_that_hangs_up_is_a_lost_bus() -> None:
-    """The end of the stream is no silence."""
     with server(b"< hi >") as (channel, hang_up):
         bus = open_bus(CanSettings(interface="socketcand", channel=channel))
         try:
@@ -162,12 +155,11 @@ BURST = [Frame(EXTENDED | 0x18C4D1D0 + 0x10000 * number, bytes(8)) for number in
 
 
 def never_opened() -> CanBus:
-    """An opener of a bus that does not come back."""
     raise BusLost("never")
 
 
 class DeafServer:
-    """A socketcand server that opens the bus, and then reads nothing until it is cut off."""
+    """A socketcand server that opens the bus, and reads nothing until the client has hung up."""
 
     def __init__(self) -> None:
         self.heard = b""
@@ -182,7 +174,6 @@ class DeafServer:
         self._thread.start()
 
     def join(self) -> None:
-        """Wait until it has read what came, to its end."""
         self._thread.join()
         self._listener.close()
 
@@ -205,7 +196,6 @@ class DeafServer:
 
 
 def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_commands() -> None:
-    """Whoever sends waits no longer than the timeout; the bus is lost, and what still waited is thrown away."""
     deaf = DeafServer()
     opened = open_bus(CanSettings(interface="socketcand", channel=deaf.channel))
     assert isinstance(opened, CanBus)
@@ -242,7 +232,6 @@ def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_comma
 
 
 def test_gateways_of_one_bus_are_counted_while_they_run() -> None:
-    """The first is told of nobody, those after it are; each goes with its process, and no other bus counts."""
     bus = CanSettings(channel=f"test{os.getpid()}")
     assert count_claims(bus) == 0
     with BusClaim(bus) as first:

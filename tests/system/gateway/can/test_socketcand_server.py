@@ -28,7 +28,7 @@ def running() -> Iterator[Served]:
 
 @pytest.fixture
 def server() -> Iterator[SocketcandServer]:
-    """A server whose time stands where the test puts it."""
+    """A server whose time the test sets."""
     bare = SocketcandServer("127.0.0.1", 0)
     yield bare
     bare.close()
@@ -39,19 +39,16 @@ def no_faults(_text: str) -> str:
 
 
 def turn(server: SocketcandServer, now_ns: int = 0, wall_ns: int = 0) -> list[Frame]:
-    """One turn of the server's loop."""
     server.wait(1.0)
     return server.read(now_ns, wall_ns, no_faults)
 
 
 def turn_quickly(server: SocketcandServer) -> None:
-    """One turn that waits for nobody."""
     server.wait(0)
     server.read(JOIN_NS, 0, no_faults)
 
 
 def join(server: SocketcandServer, now_ns: int = 0) -> socket.socket:
-    """A client in raw mode, turn by turn."""
     client = socket.create_connection(server.address, DEADLINE_S)
     turn(server, now_ns)
     assert client.recv(64) == b"< hi >"
@@ -63,7 +60,6 @@ def join(server: SocketcandServer, now_ns: int = 0) -> socket.socket:
 
 
 def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
-    """As on a wire: standard and extended identifiers, any length."""
     with running.bus() as first, running.bus() as second, running.bus() as third:
         for bus in (first, second, third):
             assert receive(bus, lambda message: message.arbitration_id == 0x18C4D1EF)  # It is on the bus now.
@@ -82,7 +78,7 @@ def test_each_client_sees_the_others_and_not_itself(running: Served) -> None:
 
 
 def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) -> None:
-    """No frame may stick to the ok that python-can's handshake compares, and none comes later in a burst."""
+    """A frame in the same segment as the ``< ok >`` would fail python-can's handshake."""
     client = join(server, now_ns=1000)
     server.send([FRAME], 1001)
     server.send([FRAME], 1000 + JOIN_NS - 1)
@@ -96,7 +92,6 @@ def test_a_client_is_on_the_bus_after_its_handshake(server: SocketcandServer) ->
 
 
 def test_a_client_that_does_not_read_is_cut_off(server: SocketcandServer) -> None:
-    """Neither frames nor answers wait for it without bound, and the others go on."""
     for asks in (False, True):
         deaf, other = join(server), join(server)
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -116,7 +111,6 @@ def test_a_client_that_does_not_read_is_cut_off(server: SocketcandServer) -> Non
 
 
 def test_a_client_that_vanishes_is_forgotten(running: Served) -> None:
-    """With a reset, with half a message, or politely; the others go on."""
     with running.bus() as bus:
         with running.raw() as client:
             client.sendall(b"< open can0 >< rawmo")
@@ -128,7 +122,6 @@ def test_a_client_that_vanishes_is_forgotten(running: Served) -> None:
 
 
 def test_the_number_of_clients_is_bounded(server: SocketcandServer) -> None:
-    """One more is told so and closed."""
     clients = []
     for _ in range(MAX_CLIENTS):
         clients.append(socket.create_connection(server.address, DEADLINE_S))

@@ -1,4 +1,4 @@
-"""The guard as a process, over a served bus, with a gateway that is killed, stopped and hung; and its memory."""
+"""The guard as a process on a served bus, with a gateway that is killed, stopped or hangs; its memory."""
 
 import errno
 import os
@@ -30,12 +30,10 @@ OFF = ["Auto_LightCmd", "Auto_SpeakerCmd", "Auto_OdometerCmd"]
 
 
 def wait_stopped(running: Watched) -> None:
-    """The robot stands, is told nothing any more, and has left auto."""
     wait_until(lambda: running.listener.stands() and running.listener.mode() is Mode.STOP)
 
 
 def test_a_killed_gateway_is_stopped_for() -> None:
-    """A kill -9: whole bursts in their order, counters that go on, the robot rests, the guard says so and goes."""
     said = said_after_a_kill()
     for _ in range(2):
         # On a busy machine its feedback may come too late for the guard to see that it stands.
@@ -49,7 +47,7 @@ def test_a_killed_gateway_is_stopped_for() -> None:
 
 
 def said_after_a_kill() -> str:
-    """Kill a gateway, and see what the guard sends. Returns what it says."""
+    """Kill a gateway. Returns the guard's output."""
     with watched() as running:
         running.send_signal(signal.SIGKILL)
         wait_stopped(running)
@@ -68,7 +66,6 @@ def said_after_a_kill() -> str:
 
 
 def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop() -> None:
-    """SIGSTOP, and SIGCONT in the middle: the guard carries its stop through, and watches again."""
     ended = end_after_a_pause()
     for _ in range(2):
         # On a busy machine its feedback may come too late for the guard to see that it stands.
@@ -78,7 +75,7 @@ def test_a_stopped_gateway_that_comes_back_keeps_silent_and_learns_of_the_stop()
 
 
 def end_after_a_pause() -> StopOutcome:
-    """Stop a gateway and let it go on while the guard sends. Returns the end that the gateway learns of."""
+    """Stop a gateway, and let it continue while the guard sends. Returns the outcome that it sees."""
     with watched() as running:
         running.send_signal(signal.SIGSTOP)
         wait_until(lambda: len(running.listener.by_guard()) > 20)
@@ -103,7 +100,6 @@ def end_after_a_pause() -> StopOutcome:
 
 
 def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
-    """It beats in time, and says that it cannot send."""
     with watched() as running:
         running.send_signal(signal.SIGUSR1)
         wait_stopped(running)
@@ -111,7 +107,6 @@ def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
 
 
 def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
-    """Not while it drives, and not when it ends in good order; the guard leaves with it, without a word."""
     with watched() as running:
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             os.kill(running.guard, number)
@@ -140,7 +135,6 @@ def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard()
 
 
 def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
-    """No socket is shared, and Zenoh is not even loaded."""
     with watched() as running:
 
         def sockets(process: int) -> set[str]:
@@ -155,7 +149,6 @@ def test_the_guard_has_a_bus_of_its_own_and_nothing_of_the_gateway() -> None:
 
 
 def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
-    """Closed at once, before it even watches."""
     with chassis() as (_, address):
         link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
         assert isinstance(link, GuardProcess)
@@ -169,7 +162,6 @@ def test_a_guard_whose_gateway_never_beat_leaves_with_it() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_guard_that_is_gone_or_hangs_is_replaced_while_the_robot_is_told_nothing(number: signal.Signals) -> None:
-    """Not while it is driven; then another one watches, and the stop that the first began is not forgotten."""
     with chassis() as (_, address):
         link = start_guard(Settings(can=CanSettings(interface="socketcand", channel=address)))
         assert isinstance(link, GuardProcess)
@@ -208,8 +200,6 @@ def test_a_guard_that_is_gone_or_hangs_is_replaced_while_the_robot_is_told_nothi
     ("program", "why"), [("/bin/false", "ended at once, with exit code 1"), ("/nonexistent", "cannot be started")]
 )
 def test_a_guard_that_does_not_start_is_no_guard(monkeypatch: pytest.MonkeyPatch, program: str, why: str) -> None:
-    """Before it was told anything: the gateway goes on, unguarded."""
-
     class Ended(subprocess.Popen[bytes]):
         def __init__(self, *words: Any, **options: Any) -> None:  # noqa: ANN401 - what Popen takes
             super().__init__(*words, **options)
@@ -234,7 +224,6 @@ RESIZE = "import os, sys; os.truncate(sys.argv[1], int(sys.argv[2]))"
 
 @pytest.mark.parametrize("size", [0, 1, 1 << 20])
 def test_no_other_process_can_resize_it(heartbeat: Heartbeat, size: int) -> None:
-    """A process of the same user that opens it through /proc is refused; both sides go on reading and writing."""
     theirs = Heartbeat(os.dup(heartbeat.descriptor))
     before = os.fstat(heartbeat.descriptor).st_size
     path = f"/proc/{os.getpid()}/fd/{heartbeat.descriptor}"

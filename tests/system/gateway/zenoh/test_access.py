@@ -1,9 +1,7 @@
 """Access by role, subject by key by operation, through a real router with mutual TLS on loopback.
 
-Whoever attacks is a client, a peer, or another router; or is connected with the robot itself.
-
-The oracle is the table of docs/authority.md. Whoever attacks has a certificate of some role, and a Zenoh file
-without the rules that it was given.
+Attackers are clients, peers or other routers, or are connected to the robot itself. They have a certificate of a
+role, and a Zenoh file without its rules. The oracle is the table of docs/authority.md.
 """
 
 from __future__ import annotations
@@ -50,11 +48,11 @@ from tests.support.secured import Network
 from tests.support.waiting import wait_until
 
 MODES: Final = ("client", "peer")
-"""Of the sessions that attack: their files are their owners'. Who should be there is a client, as provisioned."""
+"""Of the attacking sessions. Honest ones are clients, as provisioned."""
 
 
 class Secured:
-    """A router, and one session for each role: those that attack, and an honest robot and an honest operator."""
+    """A router, an attacker of each role, and an honest robot, operator and recorder."""
 
     def __init__(self, directory: Path, mode: str) -> None:
         self.network = Network(directory, free_endpoint("tls"))
@@ -69,7 +67,6 @@ class Secured:
         self.recorder = self.network.session(TransportRole.RECORDER, "depot")
 
     def close(self) -> None:
-        """End all of them, the router last."""
         for session in (*self.attackers.values(), self.robot, self.operator, self.recorder):
             session.close()
         self.router.close()
@@ -77,7 +74,6 @@ class Secured:
 
 @pytest.fixture(scope="module", params=MODES)
 def secured(request: pytest.FixtureRequest) -> Iterator[Secured]:
-    """The network of all tests here: they leave nothing on it."""
     with tempfile.TemporaryDirectory() as directory:
         network = Secured(Path(directory), request.param)
         try:
@@ -87,7 +83,7 @@ def secured(request: pytest.FixtureRequest) -> Iterator[Secured]:
 
 
 class Arrivals:
-    """What samples or queries arrived: the sender and the key, as the payload names them."""
+    """Sender and key of arrived samples and queries, by their attachments."""
 
     def __init__(self) -> None:
         self.found: set[tuple[str, str]] = set()
@@ -104,7 +100,7 @@ class Arrivals:
             self._note(query.attachment)
 
     def answering(self, own: str) -> Callable[[zenoh.Query], None]:
-        """Note a query, and reply to it under a key of one's own."""
+        """Note a query, and reply under ``own`` if its key is a pattern."""
 
         def answer(query: zenoh.Query) -> None:
             self.query(query)
@@ -119,15 +115,11 @@ class Arrivals:
 
 
 def allowed(table: dict[str, set[str]]) -> set[tuple[str, str]]:
-    """Sender and key of all that a table allows."""
     return {(sender, key) for key, senders in table.items() for sender in senders}
 
 
 def fence(secured: Secured, arrivals: Arrivals) -> None:
-    """Wait until what every attacker sent before has arrived: a put of its own that is allowed comes after it.
-
-    A recorder's has a key that robots do not subscribe to, and a robot's too: they end at the router.
-    """
+    """Wait for a permitted put of every attacker, sent after all else."""
     keys = (
         dict.fromkeys(PEOPLE, STOP)
         | {RECORDER: "fleet/@recorder/depot/health"}
@@ -139,7 +131,6 @@ def fence(secured: Secured, arrivals: Arrivals) -> None:
 
 
 def observe(secured: Secured, arrivals: Arrivals) -> list[Any]:
-    """Subscribe at the router itself to all that passes it."""
     return [secured.router.session.declare_subscriber(key, arrivals.sample) for key in EVERYTHING]
 
 
@@ -149,7 +140,6 @@ def undeclare(declared: list[Any]) -> None:
 
 
 def test_who_may_put_on_which_key(secured: Secured) -> None:
-    """A put passes the router where the table says so, and reaches the robot where it subscribes, no other."""
     passed, reached = Arrivals(), Arrivals()
     declared = observe(secured, passed)
     declared += [
@@ -168,13 +158,12 @@ def test_who_may_put_on_which_key(secured: Secured) -> None:
 
 
 def reaches(secured: Secured, arrivals: Arrivals) -> bool:
-    """Send the robot a stop of its operator's: has one come?"""
+    """Send a stop of the operator, and report whether one has arrived."""
     secured.operator.put(STOP, b"", attachment="honest operator")
     return ("honest", "operator") in arrivals.found
 
 
 def test_nobody_deletes_anything(secured: Secured) -> None:
-    """No DELETE passes, by any role on any key."""
     passed = Arrivals()
     declared = observe(secured, passed)
     for session in secured.attackers.values():
@@ -186,7 +175,6 @@ def test_nobody_deletes_anything(secured: Secured) -> None:
 
 
 def test_whose_queries_reach_the_robot(secured: Secured) -> None:
-    """A query arrives, and its reply comes back, where the table says so."""
     arrivals, answered = Arrivals(), set()
     own = {
         **{f"{R}/{name}": f"{R}/{name}" for name in KEPT},
@@ -213,13 +201,12 @@ def test_whose_queries_reach_the_robot(secured: Secured) -> None:
 
 
 def round_trip(session: zenoh.Session) -> None:
-    """Return when all that this session sent before has been routed, and what the robot sent has arrived."""
+    """Wait until all that this session sent before is routed."""
     wait_until(lambda: any(reply.ok for reply in session.get(f"{R}/gateway/info", timeout=1)))
 
 
 @pytest.mark.parametrize("key", SUBSCRIPTIONS)
 def test_who_receives_what(secured: Secured, key: str) -> None:
-    """A subscription brings something where the table says so: nobody but robots sees a command."""
     answer = secured.robot.declare_queryable(f"{R}/gateway/info", Arrivals().answering(f"{R}/gateway/info"))
     found: set[str] = set()
     declared: list[Any] = [answer]
@@ -248,7 +235,6 @@ def test_who_receives_what(secured: Secured, key: str) -> None:
 
 @pytest.mark.parametrize("key", IMPOSTORS)
 def test_whose_replies_reach_an_operator(secured: Secured, key: str) -> None:
-    """Who declares a robot's queryable without being one is neither asked nor believed."""
     asked = Arrivals()
     declared: list[Any] = []
     for name, session in secured.attackers.items():
@@ -274,7 +260,6 @@ def test_whose_replies_reach_an_operator(secured: Secured, key: str) -> None:
 
 
 def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
-    """A ghost of a robot wants a robot's certificate."""
     declared: list[Any] = []
     found: set[tuple[str, str]] = set()
     for name, session in secured.attackers.items():
@@ -303,7 +288,6 @@ def test_whose_liveliness_tokens_are_seen(secured: Secured) -> None:
 
 
 def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
-    """Sizes are limited by the verb; a stop is never filtered."""
     reached = Arrivals()
     declared = [
         secured.robot.declare_subscriber(f"{R}/@cmd/*/{verb}", reached.sample) for verb in ("drive", "stop")
@@ -322,7 +306,7 @@ def test_a_stop_passes_whatever_its_size(secured: Secured) -> None:
 
 
 def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> None:
-    """Its own file holds for the router too: commands under its own name, and a stop of all, reach it."""
+    """The robot's own file applies to its router too."""
     network = Network(Path(tempfile.mkdtemp(dir=secured.network.directory)), free_endpoint("tls"))
     config = zenoh.Config.from_file(str(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"))
     config.insert_json5("access_control/enabled", "false")
@@ -341,7 +325,6 @@ def test_a_robot_refuses_what_a_router_without_rules_sends(secured: Secured) -> 
 
 
 def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
-    """A certificate of the authority lets somebody connect; what it may say or see stands in the rows."""
     network = Network(tmp_path, free_endpoint("tls"))
     reached, seen, leaked = Arrivals(), Arrivals(), Arrivals()
     with (
@@ -365,7 +348,7 @@ def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
 
         wait_until(lambda: ("ann", "stop") in reached.found and ("robot", "state") in seen.found, say)
         say()
-        # A query that comes back empty went out after all that was said.
+        # A query that returns empty was sent after all the rest.
         assert not [reply for reply in nobody.get(f"{R}/@auth", timeout=2) if reply.ok is not None]
         operator.put(STOP, b"", attachment="ann last")
         wait_until(lambda: ("ann", "last") in reached.found)
@@ -374,7 +357,6 @@ def test_who_is_in_no_row_gets_nothing(tmp_path: Path) -> None:
 
 
 def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:
-    """In the middle of a session; and who comes with one that is over does not connect."""
     network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     lives_s = 5
@@ -388,7 +370,6 @@ def test_a_link_ends_with_its_certificate(tmp_path: Path) -> None:
 
 
 def opens(config: zenoh.Config) -> bool:
-    """Does a client's session with this configuration find anybody?"""
     try:
         session = zenoh.open(config)
     except zenoh.ZError:
@@ -400,7 +381,6 @@ def opens(config: zenoh.Config) -> bool:
 
 
 def configuration(network: Network, role: TransportRole, name: str) -> zenoh.Config:
-    """The Zenoh configuration of a new node."""
     return zenoh.Config.from_file(str(network.node(role, name) / f"{role.value}.json5"))
 
 
@@ -408,7 +388,7 @@ HONEST: Final = b"of a robot or an operator"
 
 
 def subscribe(session: zenoh.Session, name: str, keys: Iterable[str], received: set[tuple[str, str]]) -> None:
-    """Subscribe to these keys, and note what comes that is not an attacker's own."""
+    """Subscribe, and note the samples of honest senders."""
 
     def note(sample: zenoh.Sample) -> None:
         if sample.attachment is not None and sample.attachment.to_bytes() == HONEST:
@@ -419,13 +399,12 @@ def subscribe(session: zenoh.Session, name: str, keys: Iterable[str], received: 
 
 
 def may_receive(name: str, key: str) -> bool:
-    """Does a subscription that this role may have include the key?"""
+    """Report whether a permitted subscription of this role includes the key."""
     allowed_keys = (expression for expression, names in SUBSCRIPTIONS.items() if name in names)
     return any(zenoh.KeyExpr(one).includes(zenoh.KeyExpr(key)) for one in allowed_keys)
 
 
 def say_everything(session: zenoh.Session, name: str) -> None:
-    """Delete, put and ask under every key of the tables."""
     for key in PUTS:
         session.delete(key)
         session.put(key, b"", attachment=f"{name} {key}")
@@ -434,7 +413,6 @@ def say_everything(session: zenoh.Session, name: str) -> None:
 
 
 def test_who_plays_a_router_gets_no_more(tmp_path: Path) -> None:
-    """A second router with the certificate of any role: whatever it says or asks for, the table holds."""
     network = Secured(tmp_path, "router")
     passed, reached, asked = Arrivals(), Arrivals(), Arrivals()
     received: set[tuple[str, str]] = set()
@@ -473,7 +451,6 @@ def test_who_plays_a_router_gets_no_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_robot_that_listens_in_spite_of_its_file_obeys_a_router_alone(tmp_path: Path, mode: str) -> None:
-    """With a certificate that serves: who connects to it directly gets nothing in and nothing out, by any role."""
     network = Network(tmp_path, free_endpoint("tls"))
     serving = network.node(TransportRole.ROUTER, "127.0.0.1")
     config = configuration(network, TransportRole.ROBOT, "cruiser-1")
@@ -526,7 +503,6 @@ def test_a_robot_that_listens_in_spite_of_its_file_obeys_a_router_alone(tmp_path
 
 @pytest.mark.parametrize("protocol", ["tcp", "tls"])
 def test_a_robot_cannot_listen_by_its_settings(tmp_path: Path, protocol: str) -> None:
-    """Its file allows TLS alone, and has no certificate to listen with."""
     network = Network(tmp_path, free_endpoint("tls"))
     file = network.node(TransportRole.ROBOT, "cruiser-1", "cruiser-1") / "robot.json5"
     listen = free_endpoint(protocol)
@@ -537,7 +513,6 @@ def test_a_robot_cannot_listen_by_its_settings(tmp_path: Path, protocol: str) ->
 
 
 def test_who_has_no_certificate_of_the_authority_does_not_connect(secured: Secured, tmp_path: Path) -> None:
-    """Without a certificate, with one of a foreign authority, in plain TCP; the same node with its own does."""
     network = secured.network
     right = configuration(network, TransportRole.OPERATOR, "bea")
     assert opens(right)
@@ -559,7 +534,6 @@ def test_who_has_no_certificate_of_the_authority_does_not_connect(secured: Secur
 
 @pytest.mark.parametrize("role", [TransportRole.OPERATOR, TransportRole.RECORDER, TransportRole.ROBOT])
 def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: TransportRole) -> None:
-    """Who puts up a router with an operator's certificate is refused by every client."""
     network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     impostor = network.node(role, "127.0.0.1")
@@ -575,7 +549,6 @@ def test_a_certificate_that_only_dials_out_serves_nobody(tmp_path: Path, role: T
 
 
 def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:
-    """Its certificate serves, and says desk: a robot takes nothing from it, and gives it nothing."""
     network = Network(tmp_path, free_endpoint("tls"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1")
     desk = network.node(TransportRole.DESK, "127.0.0.1")
@@ -603,7 +576,7 @@ def test_a_desk_that_plays_the_router_commands_nobody(tmp_path: Path) -> None:
 @pytest.mark.parametrize("may_read", [False, True])
 @pytest.mark.parametrize("has_rows", [True, False])
 def test_a_router_says_nothing_of_itself(tmp_path: Path, has_rows: bool, may_read: bool) -> None:  # noqa: FBT001
-    """With its admin space on, as zenohd has it: rows or permissions are enough; with neither it answers."""
+    """With its admin space on, as in zenohd, rules or permissions suffice; with neither it answers."""
     network = Network(tmp_path, free_endpoint("tls"))
     with (
         network.session(

@@ -47,7 +47,6 @@ def settings_for(*endpoints: str) -> Settings:
     ],
 )
 def test_what_zenoh_does_not_take_is_one_clear_line(settings: ZenohSettings, code: ExitCode) -> None:
-    """Wrong endpoints, a wrong file, a client that finds nobody: one printable line, without Zenoh's places."""
     with pytest.raises(CommandError) as caught:
         close_session(open_session(settings, client_endpoints(settings), []))
     assert caught.value.code is code
@@ -56,7 +55,7 @@ def test_what_zenoh_does_not_take_is_one_clear_line(settings: ZenohSettings, cod
 
 
 def test_a_health_of_before_is_not_heard() -> None:
-    """Only a gateway that says its health now is heard: its last one may be of before it hung."""
+    """It may be from before the gateway hung."""
     newer = Received(HEALTH_SAMPLE.key, HEALTH_SAMPLE.encoding, codec.encode(NEXT_HEALTH))
     with FakeGateway("cruiser-1", caches_health=True) as gateway:
         gateway.say(HEALTH)
@@ -77,7 +76,6 @@ ROOM = 1000
 
 
 def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An impostor who answers without end: the next question is put all the same, and memory stays bounded."""
     listen = free_endpoint()
     answerer = open_session(ZenohSettings(), [], [listen])
     asker = open_session(ZenohSettings(), [listen], [])
@@ -109,7 +107,6 @@ def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_question_that_ran_out_of_time_says_so() -> None:
-    """It is over, and not everybody has answered; where nobody had to be asked, everybody has."""
     listen = free_endpoint()
     answerer = open_session(ZenohSettings(), [], [listen])
     asker = open_session(ZenohSettings(), [listen], [])
@@ -129,11 +126,7 @@ def test_a_question_that_ran_out_of_time_says_so() -> None:
 
 
 def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever() -> None:
-    """A drain ends, whatever comes meanwhile, and says that something may be missing."""
-
     class Endless:
-        """There is always one more."""
-
         def __init__(self, sample: zenoh.Sample) -> None:
             self._sample = sample
 
@@ -152,7 +145,6 @@ def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever() -> None:
 
 
 def test_a_ring_that_ran_over_says_that_samples_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The samples that were lost may be those that contradict the rest."""
     monkeypatch.setattr(zenoh_client, "SAMPLES_WAITING", 8)
     listen = free_endpoint()
     with RobotListener(open_session(ZenohSettings(), [], [listen]), RobotSettings()) as listener:
@@ -163,7 +155,7 @@ def test_a_ring_that_ran_over_says_that_samples_are_missing(monkeypatch: pytest.
 
 
 def test_commands_that_follow_each_other_closely_all_arrive() -> None:
-    """A command finds room although the one before it is still being sent; Zenoh's own start values drop most."""
+    """Zenoh's defaults drop most of them."""
     with FakeRobot() as fake, CommandPort.open(settings_for(fake.listen), fake.name, "first") as port:
         wait_until(port.reaches)
         for volley in range(1, VOLLEYS + 1):
@@ -173,14 +165,13 @@ def test_commands_that_follow_each_other_closely_all_arrive() -> None:
 
 
 def test_of_a_large_fleet_every_reply_arrives() -> None:
-    """Replies come in one burst and share Zenoh's batches: none is dropped for want of room."""
+    """Replies in one burst share Zenoh's batches."""
     with FakeFleet(1000) as fleet, CommandPort.open(settings_for(fleet.listen), keys.ALL, "first") as port:
         wait_until(lambda: count_replies(port.call_roll(20)) == len(fleet.names))
         assert count_replies(port.begin("stop", b"", 20)) == len(fleet.names)
 
 
 def count_replies(question: PendingQuery) -> int:
-    """Wait for the end, and count."""
     found: list[Received] = []
     wait_until(lambda: question.is_over, lambda: found.extend(question.poll()))
     return len(found)

@@ -44,7 +44,7 @@ ENOUGH = 10_000_000
 
 
 class Bench:
-    """An inbox, and somebody else's session connected to it."""
+    """An inbox, and a client's session connected to it."""
 
     def __init__(self, mode: str = "client") -> None:
         self.endpoint = free_endpoint()
@@ -63,12 +63,11 @@ class Bench:
         self.got += self.inbox.drain(holder, lease, after)
 
     def wait_for(self, count: int) -> list[RawRequest]:
-        """Tick until so many requests have come; returns them all."""
         wait_until(lambda: len(self.got) >= count, self.drain)
         return self.got
 
     def settle(self) -> None:
-        """Wait until everything that was put before now has arrived, without a tick: queries keep their order."""
+        """Wait until all earlier puts have arrived, without a tick: queries keep their order."""
         key = f"probe/{next(self._probes)}"
         with self.inbox._session.declare_queryable(key, zenoh.handlers.RingChannel(1)) as probe:
             wait_until(lambda: probe.try_recv() is not None, lambda: self.ask_nowhere(key))
@@ -77,7 +76,6 @@ class Bench:
         self.asker.get(key, zenoh.handlers.RingChannel(1), timeout=5)
 
     def ask(self, key: str, payload: bytes = b"", encoding: str | None = None) -> Any:  # noqa: ANN401 - Zenoh's own handler
-        """A query; the receiver of its replies."""
         return self.asker.get(key, payload=payload, encoding=encoding, timeout=5)
 
     def answer(self, requests: list[RawRequest], payload: bytes = b"yes") -> None:
@@ -87,7 +85,6 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    """An inbox with a client that is known to reach it."""
     made = Bench()
     reach(made)
     yield made
@@ -95,7 +92,6 @@ def bench() -> Iterator[Bench]:
 
 
 def reach(made: Bench) -> None:
-    """Wait until what is put arrives."""
     wait_until(lambda: bool(made.inbox.drain("")), lambda: made.asker.put(f"{ROBOT}probe/drive", b""))
     made.settle()
     while made.inbox.drain(""):
@@ -103,7 +99,6 @@ def reach(made: Bench) -> None:
 
 
 def replies(receiver: Any) -> list[tuple[str, bytes, str]]:  # noqa: ANN401 - Zenoh's own handler
-    """Key, payload and encoding of every reply."""
     return [
         (str(reply.ok.key_expr), reply.ok.payload.to_bytes(), str(reply.ok.encoding))
         for reply in receiver
@@ -113,7 +108,6 @@ def replies(receiver: Any) -> list[tuple[str, bytes, str]]:  # noqa: ANN401 - Ze
 
 @pytest.mark.parametrize("mode", ["client", "peer"])
 def test_whoever_connects_reaches_it(mode: str) -> None:
-    """As a client of it, or as a peer: puts, queries and their replies."""
     with closing(Bench(mode)) as made:
         reach(made)
         made.asker.put(f"{ROBOT}first/drive", b"abc")
@@ -130,7 +124,6 @@ def test_whoever_connects_reaches_it(mode: str) -> None:
 
 @pytest.mark.parametrize("key", [f"{ROBOT}op/stop", "fleet/*/@cmd/op/stop", "*/*/@cmd/op/stop"])
 def test_a_stop_comes_as_a_put_and_as_a_query(bench: Bench, key: str) -> None:
-    """Of this robot or of a whole fleet; a reply has the robot's own key, so that it says which one stops."""
     bench.asker.put(key, b"\xff" * 100)
     assert [(one.verb, one.operator, one.handle) for one in bench.wait_for(1)] == [("stop", "op", 0)]
     bench.got.clear()
@@ -142,7 +135,6 @@ def test_a_stop_comes_as_a_put_and_as_a_query(bench: Bench, key: str) -> None:
 
 
 def test_stops_come_first_and_verbs_before_drives(bench: Bench) -> None:
-    """In one tick, whatever the order in which they came."""
     bench.asker.put(f"{ROBOT}first/drive", b"1")
     asked = [bench.ask(f"{ROBOT}first/acquire"), bench.ask(f"{ROBOT}first/stop")]
     bench.asker.put(f"{ROBOT}first/stop", b"")
@@ -155,12 +147,12 @@ LEASE = 4711
 
 
 def leased(lease: int = LEASE, **fields: object) -> bytes:
-    """A request of the holder's, or of somebody who does not know the number of its lease."""
+    """A request with a lease number, by default the holder's."""
     return msgspec.msgpack.encode({"lease": lease, "speed_mps": 0.2, **fields})
 
 
 def flood_with(bench: Bench, operator: str, payload: bytes, between: list[bytes]) -> None:
-    """500 puts of an operator, and in their midst, at equal distances, those of first."""
+    """Send 500 puts of an operator, with five of the holder's between them."""
     block = zenoh.CongestionControl.BLOCK
     for number in range(500):
         bench.asker.put(f"{ROBOT}{operator}/drive", payload, congestion_control=block)
@@ -186,7 +178,6 @@ FORGED = {
 
 @pytest.mark.parametrize("forged", FORGED.values(), ids=FORGED)
 def test_the_holders_drives_survive_a_flood_under_its_name(bench: Bench, forged: bytes) -> None:
-    """Who does not know the number, or repeats what was accepted, displaces nothing of the holder's."""
     mine = [leased(seq=number) for number in range(8, 13)]
     flood_with(bench, "first", forged, mine)
     bench.drain("first", LEASE, 7)
@@ -195,7 +186,6 @@ def test_the_holders_drives_survive_a_flood_under_its_name(bench: Bench, forged:
 
 
 def test_the_holders_verbs_survive_a_flood_under_its_name(bench: Bench) -> None:
-    """What a robot is asked once, among many that ask without the number of the lease."""
     asked = [bench.ask(f"{ROBOT}first/engage", leased())]
     asked += [bench.ask(f"{ROBOT}first/engage", leased(lease=1)) for _ in range(VERBS_WAITING // 2)]
     bench.settle()
@@ -207,7 +197,7 @@ def test_the_holders_verbs_survive_a_flood_under_its_name(bench: Bench) -> None:
 
 @pytest.mark.parametrize(("holder", "other"), [("ana", "banana"), ("fleet", "x"), ("cruiser-1", "x")])
 def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench, holder: str, other: str) -> None:
-    """Banana is not ana; and a holder that is called like the root or like the robot is not everyone."""
+    """'banana' is not 'ana'; a holder may have the name of the root or of the robot."""
     for number in range(2 * DRIVES_PER_TICK):
         bench.asker.put(f"{ROBOT}{other}/drive", leased(seq=number))
     bench.asker.put(f"{ROBOT}{holder}/drive", leased(seq=1))
@@ -218,7 +208,6 @@ def test_an_operator_whose_name_holds_the_holders_is_another(bench: Bench, holde
 
 
 def test_no_flood_keeps_a_stop_out(bench: Bench) -> None:
-    """The rings of drives and verbs overflow; the stop that came in between is there at the next tick."""
     asked = []
     for number in range(DRIVES_WAITING + 500):
         bench.asker.put(f"{ROBOT}stranger/drive", b"x" * 100)
@@ -234,7 +223,6 @@ def test_no_flood_keeps_a_stop_out(bench: Bench) -> None:
 
 
 def test_a_flood_of_stops_is_taken_in_portions(bench: Bench) -> None:
-    """One is enough; the loop is not held by a thousand."""
     for _ in range(STOPS_WAITING * 2):
         bench.asker.put(f"{ROBOT}op/stop", b"")
     bench.settle()
@@ -244,7 +232,6 @@ def test_a_flood_of_stops_is_taken_in_portions(bench: Bench) -> None:
 
 @pytest.mark.parametrize("verb", ["drive", "stop"])
 def test_a_huge_payload_is_not_copied(bench: Bench, verb: str) -> None:
-    """Its size is told, and its bytes stay with Zenoh."""
     huge = bytes(ENOUGH)
     tracemalloc.start()
     try:
@@ -259,7 +246,6 @@ def test_a_huge_payload_is_not_copied(bench: Bench, verb: str) -> None:
 
 @pytest.mark.parametrize(("size", "is_read"), [(REQUEST_MAX_BYTES, True), (REQUEST_MAX_BYTES + 1, False)])
 def test_a_request_of_the_greatest_size_is_read(bench: Bench, size: int, is_read: bool) -> None:  # noqa: FBT001 - a case of the table
-    """One byte more, and it is not."""
     bench.asker.put(f"{ROBOT}first/drive", b"x" * size)
     (request,) = bench.wait_for(1)
     assert (len(request.payload), request.size) == (size if is_read else 0, size)
@@ -277,7 +263,7 @@ ANY_VERB = [
 
 @pytest.mark.parametrize("key", [f"{ROBOT}*/acquire", *ANY_VERB])
 def test_a_wildcard_for_verb_or_operator_is_no_verb_but_the_stop(bench: Bench, key: str) -> None:
-    """It stops, where a stop is among what it says, and does nothing else; its query ends; nothing here raises."""
+    """It counts as a stop if its key matches one, and as nothing else."""
     asked = bench.ask(key)
     bench.settle()
     for _ in range(3):
@@ -293,7 +279,6 @@ def test_a_wildcard_for_verb_or_operator_is_no_verb_but_the_stop(bench: Bench, k
 
 @pytest.mark.parametrize("key", ANY_VERB)
 def test_what_names_any_verb_displaces_no_stop(bench: Bench, key: str) -> None:
-    """It gets into the rings of the stops, more of it than they hold: the robot stops all the same."""
     bench.asker.put(f"{ROBOT}op/stop", b"")
     asked = bench.ask(f"{ROBOT}op/stop")
     for _ in range(2 * STOPS_WAITING):
@@ -307,7 +292,7 @@ def test_what_names_any_verb_displaces_no_stop(bench: Bench, key: str) -> None:
 
 @pytest.mark.parametrize("key", ["fleet/**", "**", "*/**", "fleet/cruiser-1/**", "fleet/cruiser-1/*/first/stop"])
 def test_no_wildcard_reaches_a_command_by_accident(bench: Bench, key: str) -> None:
-    """@cmd is a verbatim chunk: whoever wants to command has to say so."""
+    """@cmd is a verbatim chunk."""
     bench.asker.put(key, b"")
     asked = bench.ask(key)
     bench.settle()
@@ -317,7 +302,6 @@ def test_no_wildcard_reaches_a_command_by_accident(bench: Bench, key: str) -> No
 
 
 def test_it_is_found_through_the_telemetry_session() -> None:
-    """Whoever connects to the gateway's one known endpoint reaches the commands' session too, client or peer."""
     settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]), robot=RobotSettings(name="cruiser-1"))
     node, place = open_node(settings)
     with closing(node), closing(open_inbox(settings, place)) as inbox:
@@ -327,13 +311,11 @@ def test_it_is_found_through_the_telemetry_session() -> None:
 
 
 def reach_from(session: zenoh.Session, inbox: CommandInbox) -> None:
-    """Put until it arrives, and close the session."""
     wait_until(lambda: bool(inbox.drain("")), lambda: session.put(f"{ROBOT}first/drive", b""))
     close_session(session)
 
 
 def test_a_port_for_commands_that_is_taken_is_told() -> None:
-    """The gateway does not listen elsewhere instead: it says which port, and which setting."""
     settings = Settings(zenoh=ZenohSettings(listen=[free_endpoint()]))
     node, place = open_node(settings)
     taken = open_session(ZenohSettings(), [], place.command_listen)
@@ -345,7 +327,6 @@ def test_a_port_for_commands_that_is_taken_is_told() -> None:
 def test_a_gateway_whose_sessions_do_not_meet_says_so(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Who connects to the telemetry session would find no commands, and no stop."""
     monkeypatch.setattr(zenoh_inbox, "OWN_LINK_TIMEOUT_S", 0.1)
     place = ZenohPlace("another", [], [free_endpoint()], [free_endpoint()])
     with closing(open_inbox(Settings(), place)):
@@ -354,7 +335,6 @@ def test_a_gateway_whose_sessions_do_not_meet_says_so(
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_command_of_another_version_says_so(bench: Bench, command: Command) -> None:
-    """Both versions and who is to be upgraded; but a stop is a stop, whatever it calls itself."""
     key, payload = f"{ROBOT}first/{command.verb}", msgspec.msgpack.encode(REQUESTS[command.verb])
     encodings = [newer(command.encoding), newer(command.encoding, -1), command.encoding, "zenoh/bytes"]
     for encoding in encodings:

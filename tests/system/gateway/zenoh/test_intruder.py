@@ -1,4 +1,4 @@
-"""What somebody without any right gets past, one hole at a time, through real sessions with mutual TLS."""
+"""Access without rights through each hole of a router, in real sessions with mutual TLS."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ HOLES: Final = {
         r"a query on fleet/cruiser-1/gateway/nobody-\w+ comes to it",
     ),
 }
-"""What a router lets somebody of the role ``nothing`` do: flows, messages, keys, and how it is found."""
+"""Access granted to the role ``nothing``: flows, messages, keys, and the finding."""
 
 
 class Surrounded:
-    """A robot's session and the doctor's, and an intruder's files."""
+    """Sessions of a robot and of the doctor, and an intruder's files."""
 
     def __init__(self, directory: Path) -> None:
         self.network = Network(directory, free_endpoint("tls"))
@@ -65,8 +65,6 @@ class Surrounded:
         self.settings = Settings(zenoh=ZenohSettings(config=str(self.place / "robot.json5")))
 
     def intrude(self, robot: zenoh.Session, own: zenoh.Session) -> Attempt:
-        """The attempt, while the robot publishes."""
-
         def publish(pause_s: float) -> None:
             end_s = time.monotonic() + pause_s
             while time.monotonic() < end_s:
@@ -77,10 +75,7 @@ class Surrounded:
         return intrude(self.settings, endpoint, self.certificate, self.key, own, publish)
 
     def intrude_until(self, deeds: int, telemetry: zenoh.Session, commands: zenoh.Session) -> Attempt:
-        """The attempt in which so many deeds succeed, or the last one.
-
-        On a busy machine a message may take longer than an attempt waits.
-        """
+        """Repeat until this many deeds succeed: on a busy computer a message may be late."""
         for _ in range(ATTEMPTS):
             attempt = self.intrude(telemetry, commands)
             if len(attempt.deeds) >= deeds:
@@ -89,7 +84,6 @@ class Surrounded:
 
     @contextmanager
     def behind(self, change: Any = None) -> Iterator[tuple[zenoh.Session, zenoh.Session]]:  # noqa: ANN401 - JSON
-        """The robot's sessions, behind a router whose access control was changed."""
         file = self.network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
         if change is not None:
             said = json.loads(file.read_text())
@@ -110,14 +104,12 @@ def surrounded(tmp_path: Path) -> Surrounded:
 
 
 def test_behind_the_router_that_was_provisioned_nothing_is_possible(surrounded: Surrounded) -> None:
-    """Connected, and shut out."""
     with surrounded.behind() as sessions:
         assert surrounded.intrude(*sessions) == Attempt(is_connected=True)
 
 
 @pytest.mark.parametrize("hole", HOLES)
 def test_each_hole_of_a_router_is_found(surrounded: Surrounded, hole: str) -> None:
-    """By what comes through it, and nothing else."""
     flows, messages, keys, deed = HOLES[hole]
 
     def change(access: Any) -> None:  # noqa: ANN401 - JSON
@@ -134,7 +126,7 @@ def test_each_hole_of_a_router_is_found(surrounded: Surrounded, hole: str) -> No
 
 
 def test_an_open_router_lets_everything_pass(surrounded: Surrounded) -> None:
-    """Each deed is found, but for a forged state: a robot is not subscribed to its own."""
+    """Except for a forged state: a robot does not subscribe to its own."""
     with surrounded.behind(lambda access: access.update(enabled=False)) as sessions:
         deeds = surrounded.intrude_until(len(HOLES), *sessions).deeds
     assert len(deeds) == len(HOLES), deeds
@@ -142,7 +134,7 @@ def test_an_open_router_lets_everything_pass(surrounded: Surrounded) -> None:
 
 @contextmanager
 def listening(network: Network, endpoint: str, *, is_mutual: bool, is_open: bool) -> Iterator[zenoh.Session]:
-    """A gateway's session that listens itself: with certificates of both ends or of one, and shut or open."""
+    """A gateway's session that listens, with certificates at both ends or one, with or without rules."""
     place = network.directory / "desk-127.0.0.1"
     if not place.exists():
         network.node(TransportRole.DESK, "127.0.0.1")
@@ -167,7 +159,6 @@ def listening(network: Network, endpoint: str, *, is_mutual: bool, is_open: bool
 
 @pytest.mark.parametrize("is_open", [False, True])
 def test_a_forged_state_is_found_where_a_gateway_listens(surrounded: Surrounded, *, is_open: bool) -> None:
-    """There it is subscribed to its own states, and so is who commands."""
     network = surrounded.network
     with listening(network, network.endpoint, is_mutual=True, is_open=is_open) as session:
         attempt = surrounded.intrude(session, session)
@@ -182,7 +173,6 @@ def test_a_forged_state_is_found_where_a_gateway_listens(surrounded: Surrounded,
 def test_who_shows_no_certificate_gets_in_where_none_is_wanted(
     surrounded: Surrounded, protocol: str, *, is_mutual: bool, entrance: str
 ) -> None:
-    """By TLS with the listener's certificate alone, or by plain TCP."""
     network, place = surrounded.network, surrounded.network.endpoint.partition("/")[2]
     with listening(network, f"{protocol}/{place}", is_mutual=is_mutual, is_open=False):
         found = enters_without_certificate(surrounded.settings.zenoh, network.endpoint)

@@ -1,4 +1,4 @@
-"""A node that joins a router late: what waits for it, and its end."""
+"""A node that joins a router late."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ def info() -> bytes:
 
 
 def test_what_is_kept_waits_for_the_router() -> None:
-    """The journal is asked for as ever; events come to whoever listens then; states of before are gone."""
     endpoint = free_endpoint()
     settings = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(mode="client", connect=[endpoint]))
 

@@ -1,4 +1,4 @@
-"""The gateway's place on Zenoh."""
+"""The gateway's Zenoh node."""
 
 import socket
 from collections.abc import Iterator
@@ -21,12 +21,11 @@ from tests.support.waiting import wait_until
 
 BIG_REPLIES: Final = 16
 BIG_REPLY: Final = bytes(8_000_000)
-"""So many of these are far more than sockets hold."""
+"""Far more than sockets hold."""
 
 
 @pytest.fixture
 def default_endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
-    """A default endpoint that belongs to this test alone."""
     endpoint = free_endpoint()
     monkeypatch.setattr(zenoh_node, "DEFAULT_ENDPOINT", endpoint)
     return endpoint
@@ -34,7 +33,6 @@ def default_endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.fixture
 def watcher(default_endpoint: str) -> Iterator[zenoh.Session]:
-    """Another process's session, connected to the default endpoint."""
     session = open_session(ZenohSettings(), [default_endpoint], [])
     yield session
     close_session(session)
@@ -45,7 +43,6 @@ def settings(name: str) -> Settings:
 
 
 def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zenoh.Session) -> None:
-    """The port is taken by a Zenoh node: the second is reached through it, and both are heard there."""
     subscriber = watcher.declare_subscriber("fleet/*/state", zenoh.handlers.RingChannel(100))
     first, place = open_node(settings("r-1"))
     assert (place.connect, place.listen) == ([], [default_endpoint])
@@ -67,7 +64,6 @@ def test_the_second_gateway_joins_the_first(default_endpoint: str, watcher: zeno
 
 
 def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> None:
-    """One name is one robot; the second gateway says so and leaves, the first, which lives, goes on."""
     first, _ = open_node(settings("r-1"))
     with ThreadPoolExecutor(1) as thread:
         second = thread.submit(open_node, settings("r-1"))
@@ -83,7 +79,7 @@ def test_a_second_gateway_of_the_same_name_is_refused(default_endpoint: str) -> 
 
 
 def test_a_token_that_no_gateway_stands_behind_keeps_nobody_from_starting(default_endpoint: str) -> None:
-    """Anybody can declare it. The robot starts, and warns: it may be a gateway that hangs, too."""
+    """Any client can declare it."""
     stranger = open_session(ZenohSettings(), [], [default_endpoint])
     with stranger.liveliness().declare_token("fleet/r-1/gateway"):
         node, _ = open_node(settings("r-1"))
@@ -93,7 +89,6 @@ def test_a_token_that_no_gateway_stands_behind_keeps_nobody_from_starting(defaul
 
 
 def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None:
-    """What listens there does not speak Zenoh: the gateway says so instead of waiting for ever."""
     host, port = default_endpoint.removeprefix("tcp/").split(":")
     with (
         socket.create_server((host, int(port))),
@@ -107,14 +102,13 @@ def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None
     ("listen", "fault"), [("garbage", "garbage is no endpoint"), ("unixsock-stream//run/r.sock", "has no port")]
 )
 def test_what_is_no_place_for_two_sessions_is_told(listen: str, fault: str) -> None:
-    """Before anything is listened on; what is wrong comes first."""
     with pytest.raises(CommandError, match=rf"to listen on: .*{fault}.*zenoh\.command_listen names") as error:
         open_node(Settings(zenoh=ZenohSettings(listen=[listen])))
     assert error.value.code is ExitCode.USAGE
 
 
 def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
-    """Zenoh's threads hand out no old health: a gateway that hangs would look well for ever."""
+    """Zenoh must not deliver it: a hanging gateway would look healthy."""
     node, _ = open_node(settings("r-1"))
     wait_until(lambda: bool(watcher.info.peers_zid()))
     node.publish(Sample("gateway/health", b"before"))
@@ -125,7 +119,6 @@ def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
 
 
 def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session) -> None:
-    """A crowd of queries cannot hold the loop: two are answered each time, the rest waits."""
     node, _ = open_node(settings("r-1"))
     wait_until(lambda: bool(watcher.info.peers_zid()))
     replies = [watcher.get("fleet/r-1/gateway/info", timeout=20) for _ in range(5)]
@@ -147,7 +140,7 @@ def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session)
 
 
 def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
-    """It is cut off long before Zenoh's own 5 s are over, and the next one has its reply."""
+    """Its link is closed long before Zenoh's own 5 s."""
     patient = Settings(robot=RobotSettings(name="r-1"), zenoh=ZenohSettings(lease_ms=60_000))
     node, _ = open_node(patient)
     other = open_session(ZenohSettings(), [default_endpoint], [])
@@ -179,7 +172,6 @@ def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
 
 
 def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
-    """From the sequence that is asked for on; nothing without one, or with one that is none."""
     node, _ = open_node(settings("r-1"))
     wait_until(lambda: bool(watcher.info.peers_zid()))
     for number in range(3 * KEPT_PIECE):
@@ -205,7 +197,6 @@ def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
 
 
 def test_a_closed_session_is_a_count_not_an_exception(default_endpoint: str) -> None:
-    """Whatever becomes of Zenoh, publishing never raises into the loop."""
     session = open_session(ZenohSettings(), [], [default_endpoint])
     node = ZenohNode(session, settings("r-1"))
     close_session(session)

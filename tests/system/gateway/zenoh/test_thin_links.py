@@ -1,4 +1,4 @@
-"""What leaves a robot over a thin link: profiles, and who overtakes whom when the link is full."""
+"""Telemetry over a thin link: profiles, and priorities on a full link."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -40,10 +40,10 @@ FLOOD: Final = 20
 
 
 class Thin(NamedTuple):
-    """A robot behind a thin uplink, and who listens on the far side of it.
+    """A robot behind a thin uplink, and a listener on the far side.
 
     Attributes:
-        late_s: of what came, by key, how long after it was published; in the order of its coming.
+        late_s: time of publication and latency of each sample, by subject.
     """
 
     link: TcpLink
@@ -54,19 +54,17 @@ class Thin(NamedTuple):
     late_s: dict[str, list[tuple[float, float]]]
 
     def publish(self, subject: str, size: int) -> None:
-        """Publish a sample that says when it was."""
+        """Publish a sample that contains its time."""
         self.node.publish(Sample(subject, f"{monotonic():020.9f}".encode().ljust(size)))
 
 
 def settings(endpoint: str, *profiles: str) -> Settings:
-    """A client of the router there."""
     zenoh = ZenohSettings(mode="client", connect=[endpoint], given=frozenset({"mode"}), profiles=list(profiles))
     return Settings(zenoh=zenoh)
 
 
 @pytest.fixture
 def thin() -> Iterator[Thin]:
-    """A robot with the profile of operators on an LTE uplink."""
     endpoint = free_endpoint()
     late_s: dict[str, list[tuple[float, float]]] = {}
 
@@ -96,13 +94,12 @@ def thin() -> Iterator[Thin]:
 
 
 def publish_all(thin: Thin) -> None:
-    """One sample of each that is listened to."""
     for subject in (STATE, DECISION):
         thin.publish(subject, STATE_BYTES)
 
 
 def flooding(thin: Thin) -> Callable[[], None]:
-    """What publishes a state each 50 ms, and beside it more than the link takes of what is less urgent."""
+    """Publish a state each 50 ms, and more samples of lower priority than the link can take."""
     due_s = monotonic()
 
     def publish() -> None:
@@ -117,7 +114,6 @@ def flooding(thin: Thin) -> Callable[[], None]:
 
 
 def test_the_arbiters_state_overtakes_what_fills_the_link(thin: Thin) -> None:
-    """It is sooner there than what was published with it, most of which is lost."""
     publish = flooding(thin)
     wait_until(lambda: len(thin.late_s.get(STATE, [])) >= 120, publish)
     states, others = ([late for _, late in thin.late_s[subject][-60:]] for subject in (STATE, DECISION))
@@ -127,7 +123,6 @@ def test_the_arbiters_state_overtakes_what_fills_the_link(thin: Thin) -> None:
 
 
 def test_a_stop_and_its_reply_wait_for_nothing_that_fills_the_link(thin: Thin) -> None:
-    """Both are there while telemetry of before the stop is still on its way."""
     publish = flooding(thin)
     wait_until(lambda: len(thin.late_s.get(DECISION, [])) >= 150, publish)
     asked_s = monotonic()
@@ -154,7 +149,6 @@ def test_a_stop_and_its_reply_wait_for_nothing_that_fills_the_link(thin: Thin) -
 
 @pytest.mark.parametrize("priority", [by_night(zenoh.Priority.DATA), zenoh.Priority.DATA_LOW])
 def test_who_the_gateway_is_still_fits_through(thin: Thin, priority: zenoh.Priority) -> None:
-    """Its reply is the largest, and comes whole; the small buffers hold it, and drop nothing of it."""
     channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(4)
     replies = thin.listening.get(
         "fleet/cruiser-1/gateway/info",
@@ -176,7 +170,7 @@ def test_who_the_gateway_is_still_fits_through(thin: Thin, priority: zenoh.Prior
 
 
 def counts(endpoint: str, *profiles: str) -> Counter[str]:
-    """The samples of each subject that come over a link on the loopback, of two seconds; and replies."""
+    """Count the samples of each subject over a link in two seconds, and the replies."""
     robot = Settings(zenoh=ZenohSettings(listen=[endpoint], profiles=list(profiles)))
     found: Counter[str] = Counter()
     with ExitStack() as stack:
@@ -211,7 +205,6 @@ def counts(endpoint: str, *profiles: str) -> Counter[str]:
 
 
 def replies_of_the_journal(session: zenoh.Session, node: ZenohNode) -> int:
-    """The number of replies that a query for what is kept of it gets."""
     channel: zenoh.handlers.FifoChannel[zenoh.Reply] = zenoh.handlers.FifoChannel(100)
     replies = session.get(f"fleet/cruiser-1/journal?{KEPT_FIRST}=0", channel, timeout=2)
     answered = 0
@@ -231,7 +224,6 @@ def replies_of_the_journal(session: zenoh.Session, node: ZenohNode) -> int:
 
 
 def test_zenoh_leaves_out_what_a_profile_says_on_its_interface_alone() -> None:
-    """Each subject at its rate; on an interface that is not named everything leaves."""
     whole = counts(free_endpoint(), "wwan0=thin")
     assert len(whole) == len(PUBLISHED) + 1
     assert whole[REPLIES]

@@ -1,4 +1,4 @@
-"""Frames, drops and failures of a bus: by python-can, and by SocketCAN without a kernel that has CAN."""
+"""Frames, drops and failures of a bus: python-can, and SocketCAN without a kernel that has CAN."""
 
 import errno
 import os
@@ -40,7 +40,6 @@ def consistent(frame: Frame) -> Frame:
 
 @given(frame=frames.map(consistent))
 def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
-    """Identifier, kind, data, FD flags and length are the same after python-can's message as before."""
     back = to_frame(to_message(frame), frame.wall_ns)
     assert (back.can_id, back.data, back.fd_flags, back.length) == (
         frame.can_id,
@@ -52,10 +51,7 @@ def test_a_frame_survives_the_way_through_python_can(frame: Frame) -> None:
 
 
 class Driver(can.BusABC):
-    """Reads what it is told to, a message with its time or an error, which it repeats if that does not flush.
-
-    It sends nothing, with the last error.
-    """
+    """Reads its outcomes, message times or errors; a CanError repeats until a flush. Sending raises the last."""
 
     def __init__(self, *outcomes: Exception | float) -> None:
         super().__init__(channel="none")
@@ -84,7 +80,7 @@ class Driver(can.BusABC):
 
 @pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12, float("nan"), float("inf"), -1e300])
 def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
-    """Interfaces that count from their own start would put frames into 1970 or the far future."""
+    """Interfaces that count from their own start would date frames to 1970 or the far future."""
     bus = CanBus(PythonCan(Driver(start_s, start_s + 1, time.time())))
     for _ in range(3):
         frame = bus.receive(1)
@@ -94,7 +90,6 @@ def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -
 
 
 def test_frames_that_waited_keep_their_times() -> None:
-    """Once the interface's clock is known to keep epoch time, a frame that comes late is old, not new."""
     now_s = time.time()
     bus = CanBus(PythonCan(Driver(now_s, now_s - 20, now_s - 19.99)))
     times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
@@ -107,7 +102,7 @@ FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
 
 @pytest.mark.parametrize("separator", ["\n", "  "])
 def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
-    """A full transmit buffer and a lost cable look alike to who sends; ``receive`` tells them apart."""
+    """A full transmit buffer and a lost cable look the same to a sender."""
     said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
     with closing(CanBus(PythonCan(Driver(can.CanOperationError(said))))) as bus:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
@@ -120,7 +115,6 @@ def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_
     "error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone"), IndexError("of a driver")]
 )
 def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
-    """Nothing that a driver raises leaves the port, nor when it is closed."""
     bus = CanBus(PythonCan(Driver(error)))
     with pytest.raises(BusLost, match=str(error)):
         bus.send(FRAME)
@@ -128,7 +122,7 @@ def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
 
 
 def undecodable() -> can.CanError:
-    """What python-can's slcan makes of a line that is not ASCII."""
+    """The error of python-can's slcan for a line that is not ASCII."""
     error = can.CanOperationError("Could not read from serial device")
     error.__cause__ = UnicodeDecodeError("ascii", b"\xff", 0, 1, "ordinal not in range")
     return error
@@ -139,7 +133,6 @@ GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal 
 
 @pytest.mark.parametrize("error", GARBLED)
 def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> None:
-    """The next frame is read at once; a frame in between ends a row."""
     for row in (1, GARBLED_MAX - 1):
         bus = CanBus(PythonCan(Driver(*([error] * row + [0.0]) * 3)))
         assert all(bus.receive(1) is not None for _ in range(3))
@@ -149,7 +142,6 @@ def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> 
 
 @pytest.mark.parametrize("error", GARBLED)
 def test_many_lines_in_a_row_that_cannot_be_read_are_a_lost_bus(error: Exception) -> None:
-    """Such as a wrong bit rate, or a driver whose port is gone."""
     bus = CanBus(PythonCan(Driver(*[error] * 2 * GARBLED_MAX)))
     with pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"):
         bus.receive(1)
@@ -164,11 +156,7 @@ FLEXIBLE = struct.Struct("=IBB2x64s")
 
 
 class FakeSocket:
-    """A CAN socket with failure knobs. What is sent is in ``sent``.
-
-    Attributes:
-        waiting: what is read: a frame, its time in seconds and nanoseconds, the drops before it; or an error.
-    """
+    """A CAN socket with failure knobs: ``waiting`` has frames, with time and drops, or errors."""
 
     def __init__(self) -> None:
         self._end, self._other = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -243,7 +231,7 @@ def error(number: int) -> OSError:
     ids=["empty", "extended", "short", "remote", "error", "fd-unmarked", "fd-short", "fd-long"],
 )
 def test_a_frame_is_read_as_linux_lays_it_out(below: FakeSocket, content: bytes, frame: Frame) -> None:
-    """Sixteen bytes, or seventy-two for CAN FD, whose flag need not be set; and sent as the same."""
+    """Sixteen bytes, or seventy-two for CAN FD, whose flag may be missing."""
     bus = opened(below)
     below.waiting.append((content, (0, 1), 0))
     assert bus.receive(0) == frame
@@ -255,7 +243,6 @@ def test_a_frame_is_read_as_linux_lays_it_out(below: FakeSocket, content: bytes,
 
 @given(frame=frames.map(consistent))
 def test_a_frame_that_was_sent_is_read_as_the_same(frame: Frame) -> None:
-    """Whatever it is."""
     below = FakeSocket()
     bus = opened(below)
     bus.send(frame)
@@ -271,7 +258,6 @@ def test_a_frame_that_was_sent_is_read_as_the_same(frame: Frame) -> None:
 
 @pytest.mark.parametrize("number", [errno.ENOBUFS, errno.EAGAIN])
 def test_a_full_queue_is_no_loss(below: FakeSocket, number: int) -> None:
-    """Whether it is the interface's or the socket's own; the next frame may have room."""
     bus = opened(below)
     below.fails = error(number)
     with pytest.raises(BusFull):
@@ -282,20 +268,17 @@ def test_a_full_queue_is_no_loss(below: FakeSocket, number: int) -> None:
 
 
 def test_socketcan_has_one_option() -> None:
-    """Another one is a wrong setting, and not ignored."""
     with pytest.raises(CommandError, match=r"socketcan has only fd, not 'loopback'"):
         open_bus(CanSettings(interface="socketcan", channel="can0", options={"fd": True, "loopback": False}))
 
 
 @pytest.mark.parametrize("channel", ["nosuchcan", "no-such-interface-of-this-name", ""])
 def test_an_interface_that_is_missing_is_named(channel: str) -> None:
-    """Also one whose name is longer than any can be."""
     with pytest.raises(BusLost, match=f"socketcan {channel}: No such device"):
         check_up(channel)
 
 
 @pytest.mark.parametrize(("channel", "says"), [("lo", ""), ("nosuchcan", "No such device")])
 def test_an_interface_that_is_no_can_is_a_lost_bus(channel: str, says: str) -> None:
-    """Whether the kernel has CAN or not; one that is missing may come later, and is no wrong setting."""
     with pytest.raises(BusLost, match=f"socketcan {channel}: {says}"):
         open_bus(CanSettings(interface="socketcan", channel=channel))

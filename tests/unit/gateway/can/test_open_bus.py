@@ -1,4 +1,4 @@
-"""What keeps a bus from being opened, and one that is lost and opened again."""
+"""Errors on opening a bus, and reopening after a loss."""
 
 import re
 import threading
@@ -21,8 +21,6 @@ from tests.support.waiting import DEADLINE_S, wait_until
 
 
 class FakeBus:
-    """A bus with failure knobs."""
-
     def __init__(self) -> None:
         self.frames: list[Frame] = []
         self.drops = 0
@@ -62,7 +60,6 @@ FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
 
 
 def test_a_lost_bus_is_opened_again() -> None:
-    """While it is away there are no frames and it says why; afterwards frames come again."""
     first, second = FakeBus(), FakeBus()
     outcomes: list[FakeBus | str] = ["no such device", "no such device", second]
 
@@ -89,7 +86,6 @@ def test_a_lost_bus_is_opened_again() -> None:
 
 
 def test_a_lost_bus_that_is_slow_to_close_does_not_stop_the_loop() -> None:
-    """The caller goes on at once; the bus is opened again only when the lost one is closed."""
     first, second = FakeBus(), FakeBus()
     closed_before: list[bool] = []
 
@@ -111,8 +107,6 @@ def test_a_lost_bus_that_is_slow_to_close_does_not_stop_the_loop() -> None:
 
 
 def test_closing_ends_the_search() -> None:
-    """A bus that never comes does not keep the process alive."""
-
     def opener() -> FakeBus:
         raise BusLost("never")
 
@@ -126,13 +120,11 @@ BURST = [Frame(EXTENDED | 0x18C4D1D0 + 0x10000 * number, bytes(8)) for number in
 
 
 def never_opened() -> FakeBus:
-    """An opener of a bus that does not come back."""
     raise BusLost("never")
 
 
 @pytest.mark.parametrize("room", range(5))
 def test_a_burst_ends_with_the_first_frame_that_is_not_taken(room: int) -> None:
-    """The rest of it is not tried, also where there would be room again; the bus is not lost by that."""
     first = FakeBus()
     bus = ReconnectingBus(never_opened, first)
     first.room = room
@@ -147,7 +139,6 @@ def test_a_burst_ends_with_the_first_frame_that_is_not_taken(room: int) -> None:
 
 @pytest.mark.parametrize("room", range(5))
 def test_a_bus_that_is_lost_in_the_midst_of_a_burst_says_how_far_it_came(room: int) -> None:
-    """What was taken counts, the bus is down, and nothing of the burst goes to the bus that comes next."""
     first, second = FakeBus(), FakeBus()
     bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
     first.lost_after = room
@@ -162,7 +153,6 @@ def test_a_bus_that_is_lost_in_the_midst_of_a_burst_says_how_far_it_came(room: i
 
 
 def test_what_was_dropped_is_counted_from_one_bus_to_the_next() -> None:
-    """Each counts from its own opening."""
     first, second = FakeBus(), FakeBus()
     bus = ReconnectingBus(lambda: second, first, first_pause_s=0.001)
     assert bus.drops == 0
@@ -178,7 +168,6 @@ def test_what_was_dropped_is_counted_from_one_bus_to_the_next() -> None:
 
 
 def test_a_bus_that_opens_and_is_lost_at_once_is_not_tried_without_end() -> None:
-    """The pauses grow for it too."""
     opened: list[FakeBus] = []
 
     def opener() -> FakeBus:
@@ -195,7 +184,6 @@ def test_a_bus_that_opens_and_is_lost_at_once_is_not_tried_without_end() -> None
 
 
 def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The extra that it names is one of ours, and brings what python-can asks for."""
     monkeypatch.setattr("can.interfaces.slcan.serial", None)
     with pytest.raises(CommandError, match=re.escape("pip install -e '.[serial]'")) as error:
         open_bus(CanSettings(interface="slcan", channel="/dev/ttyACM0"))
@@ -206,7 +194,6 @@ def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pyt
 
 
 def test_an_unknown_interface_is_a_wrong_setting() -> None:
-    """It names the interface, and is a matter of usage."""
     with pytest.raises(CommandError, match="no-such") as error:
         open_bus(CanSettings(interface="no-such", channel="x"))
     assert error.value.code is ExitCode.USAGE
@@ -214,7 +201,6 @@ def test_an_unknown_interface_is_a_wrong_setting() -> None:
 
 @pytest.mark.parametrize("channel", ["can0", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:x/can0"])
 def test_a_socketcand_channel_needs_host_and_port(channel: str) -> None:
-    """Anything else is a wrong setting, and the line says what is wanted."""
     with pytest.raises(CommandError, match="HOST:PORT"):
         open_bus(CanSettings(interface="socketcand", channel=channel))
 
@@ -231,8 +217,6 @@ def test_a_socketcand_channel_needs_host_and_port(channel: str) -> None:
 def test_a_vendors_driver_or_device_that_is_missing_is_told_apart(
     monkeypatch: pytest.MonkeyPatch, error: Exception, raised: type[Exception], said: str
 ) -> None:
-    """One is a matter of usage, the other of waiting."""
-
     def fail(**_arguments: object) -> can.BusABC:
         raise error
 

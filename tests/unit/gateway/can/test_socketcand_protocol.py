@@ -1,4 +1,4 @@
-"""The socketcand text protocol, the server's side, byte by byte."""
+"""The server side of the socketcand text protocol."""
 
 from itertools import pairwise
 
@@ -35,19 +35,16 @@ sendable = st.builds(Frame, can_id=can_ids, data=st.binary(max_size=8))
 
 
 def joined() -> ServerConnection:
-    """A connection in raw mode."""
     connection = ServerConnection()
     assert connection.receive_bytes(HANDSHAKE) == [OK, OK]
     return connection
 
 
 def is_error(event: Event) -> bool:
-    """The client is told that something was wrong."""
     return isinstance(event, bytes) and event.startswith(b"< error ")
 
 
 def test_the_handshake_is_answered_word_by_word() -> None:
-    """Open, then raw mode; only then does the client get frames."""
     connection = ServerConnection()
     assert connection.receive_bytes(b"< open can0 >") == [OK]
     assert not connection.is_raw
@@ -80,14 +77,12 @@ def test_the_handshake_is_answered_word_by_word() -> None:
     ],
 )
 def test_what_is_wrong_is_answered_by_an_error(data: bytes) -> None:
-    """The last message of each line is wrong, and changes nothing."""
     *_, last = ServerConnection().receive_bytes(data)
     assert is_error(last)
 
 
 @given(frame=sendable)
 def test_it_understands_what_python_can_sends(frame: Frame) -> None:
-    """python-can's own text of a message is the same frame here."""
     message = can.Message(
         arbitration_id=frame.identifier, is_extended_id=bool(frame.can_id & EXTENDED), data=frame.data
     )
@@ -96,7 +91,7 @@ def test_it_understands_what_python_can_sends(frame: Frame) -> None:
 
 
 def test_it_understands_python_cans_remote_frame() -> None:
-    """A length without data, which is how python-can writes one."""
+    """A length without data."""
     message = can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4)
     frame = Frame(0x123 | REMOTE, b"", remote_length=4)
     assert convert_can_message_to_ascii_message(message).encode() == send_line(frame)
@@ -105,7 +100,6 @@ def test_it_understands_python_cans_remote_frame() -> None:
 
 @given(frame=sendable, wall_ns=st.integers(0, 2**61))
 def test_python_can_understands_what_it_sends(frame: Frame, wall_ns: int) -> None:
-    """Identifier, kind, data and time are the same after python-can's own parser."""
     line = frame_line(Frame(frame.can_id, frame.data, wall_ns))
     assert line is not None
     message = convert_ascii_message_to_can_message(line.decode())
@@ -117,7 +111,6 @@ def test_python_can_understands_what_it_sends(frame: Frame, wall_ns: int) -> Non
 
 
 def test_an_error_frame_is_shown_as_one() -> None:
-    """The protocol has a line of its own for it."""
     line = frame_line(Frame(0x4 | ERROR, bytes(8), 1_500_000_000))
     assert line == b"< error 004 1.500000 >"
     message = convert_ascii_message_to_can_message(line.decode())
@@ -130,13 +123,11 @@ def test_an_error_frame_is_shown_as_one() -> None:
 
 @pytest.mark.parametrize("frame", [Frame(0x123 | REMOTE, b"", remote_length=4), Frame(0x123, bytes(12), 0, FD)])
 def test_what_the_protocol_cannot_show_is_not_shown(frame: Frame) -> None:
-    """It has no word for remote and FD frames; another word would be a lie."""
     assert frame_line(frame) is None
 
 
 @given(data=st.lists(NOISE, max_size=10).map(b"".join), joins=st.booleans())
 def test_any_bytes_are_events(data: bytes, joins: bool) -> None:  # noqa: FBT001 - Hypothesis names its arguments
-    """No bytes raise, what is kept of them is bounded, and the next message is understood."""
     connection = joined() if joins else ServerConnection()
     for event in connection.receive_bytes(data):
         if is_error(event):
@@ -149,7 +140,6 @@ def test_any_bytes_are_events(data: bytes, joins: bool) -> None:  # noqa: FBT001
 
 @given(data=st.lists(NOISE, max_size=8).map(b"".join), cuts=st.lists(st.integers(0, 2000), max_size=10))
 def test_segments_do_not_matter(data: bytes, cuts: list[int]) -> None:
-    """TCP may cut anywhere: the events are the same."""
     whole, cut_up = joined(), joined()
     edges = [0, *sorted(cuts), len(data)]
     pieces = [data[begin:end] for begin, end in pairwise(edges)]
@@ -157,12 +147,10 @@ def test_segments_do_not_matter(data: bytes, cuts: list[int]) -> None:
 
 
 def test_a_lost_end_costs_one_message() -> None:
-    """A '<' begins anew, whatever came before."""
     assert joined().receive_bytes(b"< send 123 1 < echo >") == [ECHO]
 
 
 def test_a_fault_may_be_asked_for_at_any_time() -> None:
-    """Before the handshake too: whoever disturbs need not be on the bus."""
     asked = [FaultAsked("bumper front on")]
     assert ServerConnection().receive_bytes(b"<  fault  bumper front on >") == asked
     assert joined().receive_bytes(b"< fault bumper front on >") == asked
@@ -170,7 +158,6 @@ def test_a_fault_may_be_asked_for_at_any_time() -> None:
 
 @given(reason=st.text(max_size=1000))
 def test_an_error_is_one_message(reason: str) -> None:
-    """No reason can forge a second message or grow without bound."""
     line = error_line(reason)
     assert line.isascii()
     assert (line.count(b"<"), line.count(b">")) == (1, 1)

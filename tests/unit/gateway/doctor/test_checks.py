@@ -1,4 +1,4 @@
-"""The checks of ``cruiser doctor``: each finding, and nothing else, where its cause is given."""
+"""The checks of ``cruiser doctor``: each cause gives its finding and no other."""
 
 from collections.abc import Callable
 
@@ -89,7 +89,7 @@ def interface(**changes: object) -> Facts:
 
 
 def listened(report: BusReport, **changes: object) -> Facts:
-    """Without a gateway: the bus was listened to."""
+    """Facts without a gateway, from the bus itself."""
     return replace(WELL, zenoh=ZenohReport("tcp/127.0.0.1:7447"), bus=report, claims=0, **changes)
 
 
@@ -169,14 +169,12 @@ FINDINGS = SUPPORT.parent / "data" / "findings.txt"
 
 
 def test_a_robot_that_is_well_has_no_finding() -> None:
-    """It is told in one line, with when the first of its papers ends."""
     assert diagnose(WELL) == []
     said = "standing, feedback complete, guarded, recording, authority valid until 2027-02-04 08:00 UTC"
     assert summary(WELL) == said
 
 
 def test_a_robot_in_open_mode_is_open_to_this_machine_alone() -> None:
-    """No end of an authority is made up; and a robot that drives is not said to stand."""
     settings = replace(WELL.settings, authority=AuthoritySettings())
     assert summary(replace(WELL, settings=settings)).endswith("recording, open to this machine alone")
     assert summary(zenoh(state=replace(STATE, speed_mps=-0.5))).startswith("moving at -0.50 m/s, ")
@@ -184,7 +182,6 @@ def test_a_robot_in_open_mode_is_open_to_this_machine_alone() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_each_cause_has_its_finding_and_no_other(name: str) -> None:
-    """One line, with figures and cure, as it was read and found good."""
     (found,) = diagnose(CASES[name])
     assert found.check == name
     assert found.line in FINDINGS.read_text("utf-8").splitlines()
@@ -193,7 +190,6 @@ def test_each_cause_has_its_finding_and_no_other(name: str) -> None:
 
 
 def test_a_stop_by_the_guard_says_from_its_note_why_it_was() -> None:
-    """The note of the early stop is the same: whoever comes after a power cut reads what happened."""
     stopped = safety(latched=[Reason.GUARD, Reason.ROLLING], stop_reason=Reason.GUARD, stop_detail="by note")
     assert "(by note)" in diagnose(stopped)[0].text
     guard, rolling = diagnose(replace(stopped, stop_note="2027-01-15T08:00:00.000+00:00 early stop: it moved"))
@@ -202,7 +198,6 @@ def test_a_stop_by_the_guard_says_from_its_note_why_it_was() -> None:
 
 
 def test_every_check_has_a_case() -> None:
-    """And names are said once."""
     assert [check.name for check in CHECKS] == list(CASES)
 
 
@@ -220,14 +215,12 @@ def test_every_check_has_a_case() -> None:
     ],
 )
 def test_without_a_gateway_the_bus_is_judged_as_it_was_heard(report: BusReport, said: str) -> None:
-    """The same rows hold; and the gateway is missing."""
     settings = replace(WELL.settings, zenoh=ZenohSettings())
     found = [one.check for one in diagnose(listened(report, settings=settings))]
     assert found == [*([said] if said else []), "gateway_missing"]
 
 
 def test_a_virtual_interface_has_neither_bit_rate_nor_queue() -> None:
-    """A bench's vcan is brought up without a bit rate, and its queue of 1,000 delays nothing."""
     virtual = interface(is_virtual=True, bitrate=None, queue_frames=1000, restart_ms=None)
     assert diagnose(virtual) == []
     assert virtual.interface is not None
@@ -236,13 +229,12 @@ def test_a_virtual_interface_has_neither_bit_rate_nor_queue() -> None:
 
 
 def test_text_of_others_is_printed_as_text() -> None:
-    """An escape sequence in what somebody sent is shown, not obeyed."""
+    """Escape sequences are shown, not executed."""
     make: Callable[..., Facts] = health
     assert r"\x1b[2J" in diagnose(make(gateway_version="\x1b[2J"))[0].text
 
 
 def test_the_settings_add_up_to_metres() -> None:
-    """Those of the speed that the strictest limit allows, with the setting to change."""
     found = reach(WELL)
     assert (found.speed_mps, found.speed_setting) == (1.0, "command.speed_limit_mps")
     assert [(round(way.notice_m, 2), round(way.stop_m, 2)) for way in found.ways] == [

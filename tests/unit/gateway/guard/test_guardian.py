@@ -1,4 +1,4 @@
-"""One stop sequence, and when the guard acts: after the gateway, never beside it, and until the robot rests."""
+"""The stop sequence, and when the guard acts."""
 
 from collections.abc import Callable
 from copy import deepcopy
@@ -45,7 +45,6 @@ def _driven(variant: Variant) -> GuardRig:
 
 
 def driven(variant: Variant = Variant.COARSE) -> GuardRig:
-    """A robot that the gateway drives at 1 m/s."""
     return deepcopy(_driven(variant))
 
 
@@ -60,7 +59,6 @@ ENDS: dict[str, tuple[Step, Cause]] = {
 @pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 @pytest.mark.parametrize("end", ENDS)
 def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Variant) -> None:
-    """Ramp in gear, parking brake, neutral, hold, disabled frames, silence; then the guard says what it did."""
     rig = driven(variant)
     assert rig.chassis.state.speed_mps > 0.9
     assert rig.sent == []
@@ -80,7 +78,7 @@ def test_however_the_gateway_fails_the_robot_comes_to_rest(end: str, variant: Va
 
 
 def test_the_order_of_the_stop() -> None:
-    """Row 'stop': the speed falls in gear, then the parking brake; neutral comes with the end of the enables."""
+    """Row 'stop': the speed falls in gear, then the parking brake; neutral with the end of the enables."""
     rig = driven()
     rig.parent_lives = False
     rig.run(A_STOP_S)
@@ -110,7 +108,6 @@ def test_the_order_of_the_stop() -> None:
 
 
 def test_a_stop_that_nobody_heard_does_not_go_on() -> None:
-    """The bus takes nothing for a second: the ramp goes on from the speed that the chassis was last told."""
     rig = driven(Variant.FINE)
     rig.parent_lives = False
     rig.run(0.1)
@@ -131,7 +128,7 @@ def test_a_stop_that_nobody_heard_does_not_go_on() -> None:
 
 
 def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit() -> None:
-    """The first look comes right when the heartbeat is late, and the stop with the second, 5 ms after it."""
+    """The first look is when the heartbeat becomes late, the stop at the second, 5 ms later."""
     rig = driven()
     rig.loop_lives = False
     assert rig.beat is not None
@@ -143,7 +140,7 @@ def test_a_late_heartbeat_is_stopped_for_within_100_ms_and_not_before_its_limit(
 
 
 def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
-    """Row 'a robot in mode stop that is seen to move: enables, zero speed, parking brake', by the guard too."""
+    """Row 'a robot in mode stop that is seen to move', by the guard too."""
     rig = driven()
     rig.loop_lives = rig.parent_lives = False
     body = load(Variant.COARSE).messages["Auto_MileageAndBodyFeedback"].can_id
@@ -199,7 +196,7 @@ FACTS: dict[str, Callable[[GuardRig], object]] = {
 
 
 def seen(**expected: object) -> Check:
-    """Look: these are the facts now. What it says holds these words."""
+    """Check facts; ``says`` is a part of the last line."""
 
     def look(rig: GuardRig) -> None:
         for name, value in expected.items():
@@ -210,45 +207,40 @@ def seen(**expected: object) -> Check:
 
 
 def adopt_parked(rig: GuardRig) -> None:
-    """Others leave the robot parked in neutral."""
     rig.chassis.adopt(speed_mps=0.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=True)
 
 
 def forget(rig: GuardRig) -> None:
-    """The chassis holds no command any more, as if it had been switched off and on."""
+    """The chassis holds no command, as after power-up."""
     rig.chassis._commands.clear()
 
 
 def command_by_other(rig: GuardRig) -> None:
-    """The guard hears a drive command of another computer."""
     rig.guardian.receive(rig.maker.make(DRIVING, [], rig.variant)[0], rig.now_ns)
 
 
 def be_commanded(rig: GuardRig) -> None:
-    """For half a second another computer commands."""
     for _ in range(100):
         command_by_other(rig)
         rig.poll()
 
 
 def drive_by_other(rig: GuardRig, speed_mps: float) -> None:
-    """Another computer drives at this speed, unheard."""
+    """Another computer drives at this speed; the guard does not receive its frames."""
     for frame in rig.maker.make(replace(DRIVING, speed_mps=speed_mps), [], rig.variant):
         rig.chassis.receive(frame, rig.now_ns)
 
 
 def replace_guard(rig: GuardRig) -> None:
-    """Another guard is started."""
     rig.guardian = Guardian(CHASSIS, CommandSettings())
 
 
 def cut_short(rig: GuardRig) -> None:
-    """The guard's stop ends at once."""
     rig.guardian._stopper.give_up("cut short by this test")
 
 
 def be_stopped_by_others(rig: GuardRig) -> None:
-    """For six seconds the guard does not run, and others bring the robot to rest."""
+    """For six seconds the guard does not run, and others stop the robot."""
     for _ in range(1200):
         rig.now_ns += 5 * MS
         rig.chassis.advance(rig.now_ns)
@@ -258,12 +250,10 @@ def be_stopped_by_others(rig: GuardRig) -> None:
 
 
 def pause(seconds: float) -> Check:
-    """Time passes, and nothing of ours runs."""
     return lambda rig: setattr(rig, "now_ns", rig.now_ns + round(seconds * S))
 
 
 def ask_to_end(rig: GuardRig) -> None:
-    """A signal."""
     rig.guardian.ask_to_end()
 
 
@@ -399,14 +389,12 @@ WITHOUT_BUS: dict[str, tuple[Step, ...]] = {
 
 @pytest.mark.parametrize("steps", [*SCENES.values(), *WITHOUT_BUS.values()], ids=[*SCENES, *WITHOUT_BUS])
 def test_what_the_guard_does(steps: tuple[Step, ...]) -> None:
-    """Each row is a few moments: what happens, and what is to be seen then."""
     rig = GuardRig()
     rig.play(*steps)
 
 
 @pytest.mark.parametrize(("told", "others_mps"), [(1.0, 0.3), (0.3, 1.0)])
 def test_a_stop_that_begins_late_begins_at_the_lower_speed(told: float, others_mps: float) -> None:
-    """Of what it was told before, and of what is seen now that others have driven it."""
     rig = GuardRig()
     rig.drive(replace(DRIVING, speed_mps=told))
     rig.play(KILL, NO_BUS, 1.0)
@@ -416,7 +404,6 @@ def test_a_stop_that_begins_late_begins_at_the_lower_speed(told: float, others_m
 
 
 def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
-    """It is speeding up when the gateway dies: the rest of that is not what the guard wants."""
     rig = GuardRig(Variant.FINE)
     rig.drive(seconds=0.4)
     slowest_mps = rig.chassis.state.speed_mps
@@ -435,7 +422,6 @@ def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
     ids=["before the gateway has seen it", "the gateway gave way and dies later", "in the guard's stop"],
 )
 def test_the_hand_transmitter_has_the_robot(steps: tuple[Step, ...], driven_s: float) -> None:
-    """It is left with zero speed, then silence for minutes. Given back it does not move, and is parked."""
     rig = GuardRig()
     rig.play(*steps, 1.0, MARK, "sticks 0.8 0", driven_s, seen(drives=True, frames=0, ended=False))
     rig.play(seen(says="remote control"), "sticks 0 0", 5.0, seen(rests=True), MARK, GIVEN_BACK, A_STOP_S)
@@ -444,7 +430,7 @@ def test_the_hand_transmitter_has_the_robot(steps: tuple[Step, ...], driven_s: f
 
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*, moves: bool) -> None:
-    """Row 'stop: neutral only behind an applied parking brake': in gear to the end, and no word of a full bus."""
+    """Row 'stop: neutral only behind an applied parking brake'."""
     rig = driven()
     rig.parent_lives = False
     parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
@@ -470,7 +456,7 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
 
 
 def test_horn_and_odometer_are_ended_with_the_robot_and_its_hazard_lights_are_on() -> None:
-    """Row 'a latched stop', the guard too. The chassis keeps all for ever, and nobody else is left to end it."""
+    """Row 'a latched stop', by the guard too."""
     rig = driven()
     on = [
         AuxiliaryFrame("Auto_SpeakerCmd", {"Horn": True}),
@@ -516,7 +502,6 @@ ACTUATIONS = st.builds(
 def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(
     last: Actuation, variant: Variant, scale: str, counter: int, command: CommandSettings
 ) -> None:
-    """Any speed, angle, gear, not a number, variant in doubt: every burst is admitted, and the robot rests."""
     rig = GuardRig(variant, command)
     rig.drive(seconds=0.5)
     assert rig.beat is not None
@@ -537,7 +522,7 @@ def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(
 
 @given(st.lists(st.integers(1, 8), min_size=1, max_size=40))
 def test_the_guard_never_sends_while_the_loop_lives(pauses_ticks: list[int]) -> None:
-    """The loop may be late by up to 80 ms, as often as it likes."""
+    """The loop is up to 80 ms late."""
     rig = GuardRig()
     rig.drive(seconds=0.2)
     for pause_ticks in pauses_ticks:
@@ -557,7 +542,6 @@ def begun(view: ChassisView, counters: bytes | None, now_ns: int = 0) -> Stopper
 
 @pytest.mark.parametrize("nonsense", [nan, inf])
 def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
-    """Never as the furthest that is allowed."""
     stopper = Stopper(CHASSIS, ChassisView(), CommandSettings())
     last = replace(DRIVING, speed_mps=nonsense, angle_deg=nonsense)
     stopper.begin(last, Variant.COARSE, bytes(8), 0)
@@ -570,7 +554,6 @@ def test_what_is_not_a_number_counts_as_zero(nonsense: float) -> None:
 
 
 def test_one_burst_a_tick() -> None:
-    """However often it is asked; after a pause one, not those that were missed."""
     stopper = begun(ChassisView(), bytes(8))
     times_ns = [at_ns for at_ns in range(0, 10 * TICK_NS, TICK_NS // 5) if stopper.tick(at_ns)]
     assert times_ns == list(range(0, 10 * TICK_NS, TICK_NS))
@@ -587,7 +570,7 @@ def test_one_burst_a_tick() -> None:
     ],
 )
 def test_the_counters_go_on(known: int | None, at_ms: int, counters: list[int]) -> None:
-    """From the heartbeat's, and what was heard since: a drive command with counter 8."""
+    """The bus shows a drive command with counter 8."""
     view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     view.receive(encoder.encode("Auto_DriveCmd", {}, 8), 0)
     frames = begun(view, None if known is None else bytes([known] * 8), at_ms * MS).tick(at_ms * MS)
@@ -595,7 +578,6 @@ def test_the_counters_go_on(known: int | None, at_ms: int, counters: list[int]) 
 
 
 def test_it_yields_to_the_hand_transmitter_between_two_ticks() -> None:
-    """At once, not when the next burst would be due."""
     view, feedback = ChassisView(), Feedback(Variant.COARSE)
     stopper = begun(view, bytes(8))
     assert stopper.tick(0)

@@ -1,4 +1,4 @@
-"""The guard's thread, with a bus and a memory that have knobs; and the heartbeat in shared memory."""
+"""The guard's loop, with a fake bus and memory; the heartbeat in shared memory."""
 
 import os
 import threading
@@ -22,7 +22,7 @@ from tests.support.rigs.guard import DRIVING
 
 
 class World:
-    """Bus and memory at once, so that their order shows. The parent dies when the first frames were received."""
+    """Bus and memory in one, to record their order. The parent dies once the first frames are received."""
 
     is_up = True
 
@@ -35,7 +35,6 @@ class World:
         self._silence = threading.Event()
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame; a bus on which nothing comes keeps its reader waiting."""
         assert 0 <= timeout_s <= 0.005
         if self.frames:
             return self.frames.pop(0)
@@ -51,7 +50,6 @@ class World:
         return self.beat
 
     def write_status(self, status: GuardStatus) -> None:
-        """Remembers what was told, in its place."""
         self.order.append("sending" if status.is_sending else "watching")
 
     def parent_lives(self) -> bool:
@@ -67,14 +65,12 @@ class World:
 
 
 def live(world: World) -> Guardian:
-    """Let the guard live on this bus to its end."""
     guardian = Guardian(CHASSIS, CommandSettings(deceleration_mps2=2, emergency_deceleration_mps2=3))
     run(world, world, guardian, world.parent_lives, world.asked_to_end, world.say)
     return guardian
 
 
 def test_the_loop_is_told_before_the_first_frame_leaves_and_after_the_last() -> None:
-    """A loop that comes back must not send beside the guard."""
     world = World(Beat(1, is_active=True, variant=Variant.COARSE, last=DRIVING))
     live(world)
     first = world.order.index("frames")
@@ -87,7 +83,7 @@ def test_the_loop_is_told_before_the_first_frame_leaves_and_after_the_last() -> 
 
 
 class Paused(World):
-    """A world in which the guard's process stands still for a second, once, on a clock of its own."""
+    """A world with its own clock, in which the guard's process is paused once, for a second."""
 
     def __init__(self) -> None:
         super().__init__(Beat(1))
@@ -96,18 +92,16 @@ class Paused(World):
         self.frames = []
 
     def monotonic_ns(self) -> int:
-        """Time passes while it waits for frames, and in the pause."""
         return self.now_ns
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or so much time is over."""
         if self.frames:
             return self.frames.pop(0)
         self.now_ns += round(timeout_s * 1e9)
         return None
 
     def parent_lives(self) -> bool:
-        """For ten looks; the pause is in the fifth."""
+        """For ten looks, with the pause in the fifth."""
         self.looks += 1
         if self.looks == 5:
             self.now_ns += 10**9
@@ -116,7 +110,6 @@ class Paused(World):
 
 
 def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is old, and would be taken for what the chassis says now."""
     world = Paused()
     monkeypatch.setattr("gateway.host.guard_main.time.monotonic_ns", world.monotonic_ns)
     guardian = live(world)
@@ -125,7 +118,6 @@ def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pyte
 
 
 def test_frames_are_heard_and_an_idle_guard_leaves_without_a_word() -> None:
-    """With its parent."""
     world = World(Beat(1))
     guardian = live(world)
     assert guardian.view.has_feedback(0)
@@ -172,14 +164,12 @@ def heartbeat() -> Iterator[Heartbeat]:
 
 
 def test_fresh_memory_holds_nothing(heartbeat: Heartbeat) -> None:
-    """Neither side takes zeros for a sign of life."""
     assert heartbeat.read_beat() is None
     assert heartbeat.read_status() is None
 
 
 @given(st.lists(st.one_of(BEATS, STATUSES), min_size=1, max_size=8))
 def test_the_other_side_reads_the_newest_of_each(values: list[Beat | GuardStatus]) -> None:
-    """Through a descriptor of its own, as another process has it; the two ways do not disturb each other."""
     mine = Heartbeat.create()
     theirs = Heartbeat(os.dup(mine.descriptor))
     beat, status = None, None
@@ -198,7 +188,6 @@ def test_the_other_side_reads_the_newest_of_each(values: list[Beat | GuardStatus
 
 @given(st.lists(BEATS, min_size=2, max_size=4, unique_by=lambda beat: beat.now_ns), st.data())
 def test_a_torn_beat_is_never_believed(beats: list[Beat], data: st.DataObject) -> None:
-    """Whatever part of a write has arrived, in whatever order, the reader sees the beat before it or the whole."""
     memory = Heartbeat.create()
     for beat in beats[:-1]:
         memory.write_beat(beat)

@@ -1,4 +1,4 @@
-"""The gateway's side of the guard: one that cannot be, and that of a gateway that died, by its note."""
+"""The gateway's side of the guard, and following the guard of a gateway that died."""
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -23,7 +23,6 @@ def note(tmp_path: Path) -> StopNote:
 
 
 def test_a_stop_that_is_under_way_is_followed_to_its_end(note: StopNote) -> None:
-    """Its final words come after the start of the next gateway."""
     note.add(BEGUN)
     former = FormerGuard(note)
     assert (former.is_stopping, former.says) == (True, "")
@@ -34,7 +33,6 @@ def test_a_stop_that_is_under_way_is_followed_to_its_end(note: StopNote) -> None
 
 
 def test_a_guard_that_never_says_how_it_ended_is_given_up(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It was killed too."""
     monkeypatch.setattr(guard_process, "STOP_MAX_S", 0.2)
     note.add(BEGUN)
     former = FormerGuard(note)
@@ -54,7 +52,6 @@ def test_a_guard_that_never_says_how_it_ended_is_given_up(note: StopNote, monkey
     ],
 )
 def test_a_stop_that_is_over_is_not(note: StopNote, age_s: float, begun: str, then: str) -> None:
-    """Nor one whose guard must have died."""
     assert note.path is not None
     time = datetime.now(UTC) - timedelta(seconds=age_s)
     note.path.write_text(f"{time.isoformat(timespec='milliseconds')} {begun}\n")
@@ -74,7 +71,6 @@ def test_a_stop_that_is_over_is_not(note: StopNote, age_s: float, begun: str, th
     ],
 )
 def test_where_no_guard_can_be_the_link_says_why(settings: Settings, says: str) -> None:
-    """An interface that is not known to be shared has no guard, nor has a gateway that sends nothing."""
     link = start_guard(settings)
     assert says in link.why_not
     link.beat(1, CommandFlow(CHASSIS, settings, 1))

@@ -1,4 +1,4 @@
-"""What is said of the robot's computer, of a CAN interface and of a bus."""
+"""Facts about the computer, a CAN interface and a bus."""
 
 import json
 import os
@@ -36,7 +36,7 @@ DAY_S = 86_400
 
 
 class FakeSystemd:
-    """Answers for services, of which the others are not there, and for the journal."""
+    """Answers for these services and for the journal."""
 
     def __init__(self, journal: str | None = None, **units: str) -> None:
         self._journal = journal
@@ -50,7 +50,6 @@ class FakeSystemd:
 
 
 def test_services_that_are_enabled_or_run_are_looked_at() -> None:
-    """One that is installed and not enabled is not missed."""
     systemd = FakeSystemd(
         gateway="LoadState=loaded ActiveState=active UnitFileState=enabled Result=success NRestarts=3",
         recorder="LoadState=loaded ActiveState=failed UnitFileState=enabled Result=exit-code NRestarts=0",
@@ -64,7 +63,6 @@ def test_services_that_are_enabled_or_run_are_looked_at() -> None:
 
 @pytest.mark.parametrize("journal", [None, "", "no json", "[]", '{"UNIT_RESULT": "watchdog"}'])
 def test_the_journal_knows_why_a_service_ended(journal: str | None) -> None:
-    """At the start that follows systemd itself forgets it; a journal that says nothing is no fault."""
     again = "LoadState=loaded ActiveState=active UnitFileState=enabled Result=success NRestarts=1"
     (unit,) = look_at_units(FakeSystemd(journal, gateway=again))
     assert (unit.result, unit.restarts, unit.ended_s) == ("success", 1, None)
@@ -82,8 +80,6 @@ def test_a_run_that_did_not_end_in_order_lost_its_power(
     shutdown: str | None,
     was: bool | None,  # noqa: FBT001 - a row of the table
 ) -> None:
-    """Only the journal of the run before knows, and only for those who may read it."""
-
     def journal(words: Sequence[str], kernel: str | None = None) -> str | None:
         if "--dmesg" in words:
             return kernel
@@ -98,7 +94,6 @@ def a_file_system(flag: int = 0, free: int = 100) -> SimpleNamespace:
 
 
 def test_a_disk_is_full_read_only_or_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Logs count as what they take."""
     (tmp_path / "a.mcap").write_bytes(bytes(10_000))
     (tmp_path / "other.txt").write_bytes(bytes(100_000))
     missing = look_at_disk(tmp_path / "nothing")
@@ -112,12 +107,10 @@ def test_a_disk_is_full_read_only_or_not_there(monkeypatch: pytest.MonkeyPatch, 
 
 @pytest.mark.parametrize(("said", "is_kept"), [("yes\n", True), ("no\n", False), ("", None), (None, None)])
 def test_systemd_says_whether_a_time_server_keeps_the_clock(said: str | None, *, is_kept: bool | None) -> None:
-    """Where there is none, nobody knows."""
     assert is_synchronised(lambda _: said) is is_kept
 
 
 def test_what_the_authority_said_lately_is_past_for_certain(tmp_path: Path) -> None:
-    """Its newest time outlives a restart; in open mode there is none, and only the installation counts."""
     settings = Settings(
         gateway=GatewaySettings(state_dir=str(tmp_path)), authority=AuthoritySettings(mode="signed")
     )
@@ -131,7 +124,6 @@ def test_what_the_authority_said_lately_is_past_for_certain(tmp_path: Path) -> N
 
 
 def test_certificates_and_grants_say_when_they_end_and_what_is_wrong(tmp_path: Path) -> None:
-    """Those of a robot: well, soon over, over, readable for others, missing."""
     directory = ProvisionedFleet(tmp_path).let_in("robot", "cruiser-1")
     settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(directory)))
     files, now_s = [directory / "robot.json5"], time.time()
@@ -158,7 +150,6 @@ def test_certificates_and_grants_say_when_they_end_and_what_is_wrong(tmp_path: P
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
 def test_root_looks_with_the_owners_eyes(tmp_path: Path) -> None:
-    """Keys are their owner's alone, and a check by root refuses another's; afterwards it is root again."""
     directory = ProvisionedFleet(tmp_path).let_in("robot", "cruiser-1")
     for path in (tmp_path, *tmp_path.parents):
         if path.owner() == "root" and str(path).startswith("/tmp/"):  # noqa: S108 - pytest's own
@@ -175,7 +166,7 @@ SETTINGS = Settings(can=CanSettings(interface="socketcan", channel="can0"))
 
 
 class FakeBus:
-    """Gives one frame after the other at a chassis's pace, again and again; it may be lost. It keeps the time."""
+    """Delivers frames at a chassis's rate, repeatedly, on its own clock; it may be lost."""
 
     def __init__(self, frames: Sequence[Frame], lost: str = "") -> None:
         self.drops = 0
@@ -206,7 +197,7 @@ class FakeBus:
 
 
 def heard(frames: Sequence[Frame]) -> BusReport:
-    """What is reported of a bus with these frames. Nothing is sent on it, whatever they are."""
+    """The report of a bus with these frames, on which nothing is sent."""
     bus = FakeBus(frames)
     report = listen(SETTINGS, opener=lambda _: bus, monotonic_ns=bus.monotonic_ns)
     assert bus.sent == []
@@ -215,13 +206,12 @@ def heard(frames: Sequence[Frame]) -> BusReport:
 
 
 def a_turn(variant: Variant) -> list[Frame]:
-    """Sixteen turns of a standing chassis: its counters come round."""
+    """Sixteen rounds of a standing chassis, so that its counters wrap."""
     feedback = Feedback(variant)
     return [frame for _ in range(16) for frame in feedback.all()]
 
 
 def test_frames_that_are_late_in_the_first_second_are_not_missing() -> None:
-    """The computer was busy, and not the chassis silent; a frame that never comes is missing in the end."""
     feedback = Feedback(Variant.COARSE)
     late = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
     turns = [[frame for frame in feedback.all() if frame.can_id != late or turn >= 60] for turn in range(160)]
@@ -235,7 +225,6 @@ def test_frames_that_are_late_in_the_first_second_are_not_missing() -> None:
 
 
 def test_another_computers_commands_are_heard() -> None:
-    """Frames that move the chassis, with a right checksum; a wrong one is nobody's."""
     encoder = Encoder(load(Variant.COARSE))
     command = encoder.encode(MOTION_FRAMES[0], {}, 1, 0)
     assert heard([*a_turn(Variant.COARSE), command]).is_commanded
@@ -244,8 +233,6 @@ def test_another_computers_commands_are_heard() -> None:
 
 
 def test_a_bus_that_cannot_be_opened_or_is_lost_says_why() -> None:
-    """In the words of whoever knows."""
-
     def not_there(_settings: Settings) -> FakeBus:
         raise BusLost("socketcan can0: No such device")
 
@@ -265,7 +252,6 @@ LINK = {
 
 
 def network(place: Path, name: str = "can0", flags: str = "0x40081", kind: str = "280") -> Path:
-    """What the kernel shows of an interface."""
     files = place / name
     files.mkdir(parents=True)
     for file, text in (("flags", flags), ("tx_queue_len", "10"), ("type", kind)):
@@ -274,7 +260,6 @@ def network(place: Path, name: str = "can0", flags: str = "0x40081", kind: str =
 
 
 def test_an_interface_is_read_from_the_kernel_and_from_iproute2(tmp_path: Path) -> None:
-    """Bit rate, controller and restart stand in the latter alone."""
     networks = network(tmp_path)
     whole = look_at_interface(SETTINGS, lambda _: json.dumps([LINK]), networks)
     assert whole == CanInterface(
@@ -285,7 +270,6 @@ def test_an_interface_is_read_from_the_kernel_and_from_iproute2(tmp_path: Path) 
 
 
 def test_an_interface_that_is_down_missing_or_virtual_is_said_to_be(tmp_path: Path) -> None:
-    """One of python-can's is not looked at."""
     networks = network(tmp_path, flags="0x40080")
     virtual = json.dumps([{"linkinfo": {"info_kind": "vcan"}}])
     down = look_at_interface(SETTINGS, lambda _: virtual, networks)
@@ -295,7 +279,6 @@ def test_an_interface_that_is_down_missing_or_virtual_is_said_to_be(tmp_path: Pa
 
 
 def test_can_interfaces_are_found_by_their_kind(tmp_path: Path) -> None:
-    """Whatever they are called."""
     network(tmp_path, "eth0", kind="1")
     network(tmp_path, "chassis")
     assert can_interfaces(network(tmp_path, "can1")) == ["can1", "chassis"]

@@ -1,4 +1,4 @@
-"""Notes that outlive the process: of a stop by the guard, of what is latched, of a run, of the mileage."""
+"""Notes that outlive the process: a stop by the guard, latches, the run, the mileage."""
 
 import errno
 import json
@@ -26,7 +26,6 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture
 def note(tmp_path: Path) -> StopNote:
-    """None is there yet, nor its directory."""
     return StopNote(tmp_path / "state" / "fleet.cruiser-1.guard-stop")
 
 
@@ -36,7 +35,6 @@ def path_of(note: StopNote) -> Path:
 
 
 def test_what_the_guard_said_is_read_with_its_times(note: StopNote) -> None:
-    """Row 'kept on disk, with its words': cause and outcome, in one line."""
     assert note.read() == ""
     note.add("guard: the gateway is gone")
     note.add("guard: done: the robot stands")
@@ -60,7 +58,7 @@ def test_what_the_guard_said_is_read_with_its_times(note: StopNote) -> None:
 def test_a_damaged_note_is_a_latch_that_says_so(
     note: StopNote, content: bytes | Callable[[Path], None], said: str
 ) -> None:
-    """Default deny; and nothing of it can break a line."""
+    """Default deny."""
     path_of(note).parent.mkdir()
     if isinstance(content, bytes):
         path_of(note).write_bytes(content)
@@ -79,8 +77,6 @@ def test_a_damaged_note_is_a_latch_that_says_so(
 def test_a_disk_that_fails_leaves_a_note_all_the_same(
     note: StopNote, monkeypatch: pytest.MonkeyPatch, call: str, number: int, left: str
 ) -> None:
-    """There was a stop: whatever of its words is on the disk, it latches."""
-
     def fail(*_: object) -> int:
         raise OSError(number, os.strerror(number))
 
@@ -92,7 +88,6 @@ def test_a_disk_that_fails_leaves_a_note_all_the_same(
 
 
 def test_a_note_stays_small(note: StopNote) -> None:
-    """A guard that stops the robot again and again fills no disk, and what it did first is kept."""
     for number in range(100):
         note.add(f"guard: stop {number} {'x' * 60}")
     assert path_of(note).stat().st_size <= STOP_NOTE_MAX_BYTES
@@ -101,8 +96,6 @@ def test_a_note_stays_small(note: StopNote) -> None:
 
 
 def test_the_note_is_where_the_settings_or_else_the_system_say() -> None:
-    """The directory of systemd goes before the user's; each robot has a note of its own."""
-
     def path(state_dir: str = "auto", **environment: str) -> str:
         settings = Settings(
             robot=RobotSettings(root="depot/north", name="c-7"), gateway=GatewaySettings(state_dir=state_dir)
@@ -119,7 +112,6 @@ def test_the_note_is_where_the_settings_or_else_the_system_say() -> None:
 
 
 def test_why_no_note_can_be_kept_is_said(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Off, a directory that cannot be made, and one that cannot be written to."""
     assert note.why_not() == ""
     assert path_of(note).parent.is_dir()
     assert "state_dir is empty" in StopNote(None).why_not()
@@ -130,7 +122,6 @@ def test_why_no_note_can_be_kept_is_said(note: StopNote, monkeypatch: pytest.Mon
 
 
 def test_a_disk_that_stalls_holds_up_nobody(note: StopNote, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the guard's thread nor the loop's; what waits is written in its order when the disk goes on."""
     goes_on, fsync = threading.Event(), os.fsync
 
     def stall(descriptor: int) -> None:
@@ -160,8 +151,6 @@ def test_a_disk_that_stalls_holds_up_nobody(note: StopNote, monkeypatch: pytest.
 def test_a_note_that_cannot_be_written_or_removed_is_said(
     note: StopNote, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The guard and the gateway go on."""
-
     def fail(*_words: object, **_named: object) -> None:
         raise OSError(30, "Read-only file system")
 
@@ -185,7 +174,6 @@ def test_a_note_that_cannot_be_written_or_removed_is_said(
     ids=["never latched", "latched still", "reset"],
 )
 def test_only_a_reset_removes_the_note(note: StopNote, latched: list[bool], *, is_kept: bool) -> None:
-    """Neither that nothing was latched from the start on, nor that it is latched."""
     note.add("guard: the gateway is gone")
     clearer = NoteClearer(note)
     for is_latched in latched:
@@ -195,7 +183,6 @@ def test_only_a_reset_removes_the_note(note: StopNote, latched: list[bool], *, i
 
 
 def test_without_a_directory_nothing_is_kept() -> None:
-    """The setting is empty; the gateway warns of that at its start."""
     settings = Settings(gateway=GatewaySettings(state_dir=""))
     off, latched = StopNote.of(settings), LatchNote.of(settings)
     off.add("guard: the gateway is gone")
@@ -210,20 +197,17 @@ STOPPED = {Reason.REMOTE_STOP: "by ann", Reason.FRONT_BUMPER: ""}
 
 @pytest.fixture
 def open_note(tmp_path: Path) -> Callable[[], LatchNote]:
-    """Open the note of one robot, as each start does."""
     settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path / "state")))
     return lambda: LatchNote.of(settings)
 
 
 def closed(note: LatchNote) -> Path:
-    """Close a note. Returns its path."""
     note.close()
     assert note.path is not None
     return note.path
 
 
 def test_what_is_latched_is_there_after_a_restart_until_it_is_reset(open_note: Callable[[], LatchNote]) -> None:
-    """In its order, with its details; also where the process ended long before the reset."""
     first = open_note()
     assert first.read() == {}
     first.follow(STOPPED)
@@ -240,7 +224,6 @@ def test_what_is_latched_is_there_after_a_restart_until_it_is_reset(open_note: C
 
 
 def test_a_stop_by_the_guard_stands_in_the_note_of_the_guard_alone(open_note: Callable[[], LatchNote]) -> None:
-    """Else two files would have to be removed for one reset."""
     note = open_note()
     note.follow({Reason.GUARD: "late"})
     assert not closed(note).exists()
@@ -250,7 +233,6 @@ def test_a_stop_by_the_guard_stands_in_the_note_of_the_guard_alone(open_note: Ca
 def test_a_damaged_note_latches_a_stop_until_it_is_reset(
     open_note: Callable[[], LatchNote], content: bytes
 ) -> None:
-    """Nobody knows what it held."""
     path = closed(open_note())
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
@@ -270,7 +252,6 @@ def test_a_damaged_note_latches_a_stop_until_it_is_reset(
 def test_a_note_that_cannot_be_written_is_said_once_and_holds_nobody_up(
     open_note: Callable[[], LatchNote], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """To the loop, which goes on whatever the disk does, and in the log."""
     goes_on = threading.Event()
 
     def fail(_descriptor: int) -> None:
@@ -297,7 +278,7 @@ def test_a_note_that_cannot_be_written_is_said_once_and_holds_nobody_up(
 def test_of_more_changes_than_the_disk_writes_the_last_one_counts(
     open_note: Callable[[], LatchNote], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Anyone may stop a robot under ever other names, a hundred times a second."""
+    """Anyone may stop a robot under changing names, a hundred times a second."""
     note, goes_on, written = open_note(), threading.Event(), list[object]()
 
     def write(latched: object) -> None:
@@ -314,7 +295,7 @@ def test_of_more_changes_than_the_disk_writes_the_last_one_counts(
 
 
 def test_a_run_that_did_not_end_in_order_is_known_at_the_next_start(tmp_path: Path) -> None:
-    """Row 'guard and gateway died together': nothing else tells the next gateway; an end in order does."""
+    """Row 'guard and gateway died together'."""
     settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path / "state")))
     assert not RunNote.of(settings).begin()
     assert RunNote.of(settings).begin()
@@ -324,8 +305,6 @@ def test_a_run_that_did_not_end_in_order_is_known_at_the_next_start(tmp_path: Pa
 
 @pytest.fixture
 def start(tmp_path: Path) -> Callable[..., MileageNote]:
-    """Open the note of a robot, as each start does."""
-
     def opened(name: str = "cruiser-1") -> MileageNote:
         settings = Settings(gateway=GatewaySettings(state_dir=str(tmp_path)), robot=RobotSettings(name=name))
         return MileageNote.of(settings)
@@ -334,7 +313,7 @@ def start(tmp_path: Path) -> Callable[..., MileageNote]:
 
 
 def drive(note: MileageNote, *mileages_km: float | None) -> list[str]:
-    """Follow these, each until it is written. Returns what was asked."""
+    """Follow these mileages, each until it is written. Returns the questions."""
     asked = []
     for mileage_km in mileages_km:
         asked.append(note.follow(mileage_km))
@@ -349,7 +328,6 @@ def drive(note: MileageNote, *mileages_km: float | None) -> list[str]:
 def test_a_mileage_that_is_far_off_at_a_start_is_asked_about_once(
     start: Callable[..., MileageNote], before_km: float, then_km: float, *, is_asked: bool
 ) -> None:
-    """Over 1 km, either way; and the next start knows the new one."""
     assert drive(start(), None, before_km) == []
     asked = drive(start(), None, then_km, then_km)
     assert len(asked) == is_asked
@@ -360,7 +338,6 @@ def test_a_mileage_that_is_far_off_at_a_start_is_asked_about_once(
 def test_a_run_may_drive_as_far_as_it_likes_and_another_name_has_another_note(
     start: Callable[..., MileageNote],
 ) -> None:
-    """Also back to zero, as ``clear_odometer`` does; the next start compares with the last of it."""
     assert drive(start(), 5.0, *(5.0 + 0.1 * number for number in range(40)), 0.0, 0.4, 0.46) == []
     assert drive(start("cruiser-2"), 700.0) == []
     assert drive(start(), 0.5) == []
@@ -369,7 +346,6 @@ def test_a_run_may_drive_as_far_as_it_likes_and_another_name_has_another_note(
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'"x"', b"\xff"])
 def test_a_damaged_note_asks_nothing(start: Callable[..., MileageNote], tmp_path: Path, content: bytes) -> None:
-    """Nothing is known then."""
     (tmp_path / "fleet.cruiser-1.mileage.json").write_bytes(content)
     assert drive(start(), 5.0) == []
     assert len(drive(start(), 9.0)) == 1

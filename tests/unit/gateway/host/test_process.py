@@ -1,4 +1,4 @@
-"""The process on its computer: real-time scheduling, and logging that never holds who logs."""
+"""Real-time scheduling, and logging that never blocks."""
 
 import logging
 import os
@@ -15,8 +15,6 @@ log = logging.getLogger("test")
 def test_a_refusal_is_logged_and_changes_nothing(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """An ordinary user may not have it; the gateway runs all the same."""
-
     def refuse(_pid: int, _policy: int, _parameter: os.sched_param) -> None:
         raise PermissionError(1, "Operation not permitted")
 
@@ -27,7 +25,6 @@ def test_a_refusal_is_logged_and_changes_nothing(
 
 
 def test_real_time_priority_is_what_the_system_says_whoever_gave_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also a policy that was there from the start; locked memory is another matter."""
     for policy, is_realtime in (
         (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, True),
         (os.SCHED_RR, True),
@@ -39,7 +36,7 @@ def test_real_time_priority_is_what_the_system_says_whoever_gave_it(monkeypatch:
 
 
 class StuckHandler(logging.Handler):
-    """A stderr whose pipe is full, until it is let go."""
+    """A stderr whose pipe is full until ``free`` is set."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,7 +49,6 @@ class StuckHandler(logging.Handler):
 
 
 def test_who_logs_is_not_held_by_a_full_pipe() -> None:
-    """What waits is bounded; the rest is lost; all that waited comes out in its order."""
     stuck, root = StuckHandler(), logging.getLogger()
     before = root.handlers[:]
     root.handlers = [stuck]
@@ -66,7 +62,7 @@ def test_who_logs_is_not_held_by_a_full_pipe() -> None:
     finally:
         root.handlers = before
     numbers = [int(line.removeprefix("line ")) for line in stuck.lines]
-    # The writer takes the first when it comes to it: one more finds room, whichever it is.
+    # One more line fits after the writer has taken the first.
     assert numbers[:LINES_WAITING] == list(range(LINES_WAITING))
     assert numbers == sorted(numbers)
     assert LINES_WAITING <= len(numbers) <= LINES_WAITING + 1

@@ -1,4 +1,4 @@
-"""The look at a robot's own endpoints and file, and what an attempt to get past its router comes to."""
+"""Checks of a robot's endpoints and file, and results of the router's test."""
 
 from __future__ import annotations
 
@@ -46,14 +46,12 @@ TLS: dict[str, Any] = {"enable_mtls": True, "verify_name_on_connect": True}
 def test_each_rule_that_lets_anybody_pass_is_named(
     access: dict[str, Any], tls: dict[str, Any], said: str | None
 ) -> None:
-    """Zenoh says nothing of any of them."""
     fault = access_fault(ACCESS | access, TLS | tls)
     assert fault.startswith(said) if said else fault == ""
 
 
 @pytest.fixture
 def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
-    """Of a robot that was provisioned."""
     monkeypatch.chdir(tmp_path)
     directory = ProvisionedFleet(tmp_path).let_in("robot", "cruiser-1")
     return Settings(
@@ -63,14 +61,12 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
 
 
 def test_what_was_provisioned_is_in_order(settings: Settings) -> None:
-    """Whether it dials out or listens with certificates; and in open mode, where this machine alone reaches it."""
     assert own_fault(settings, Reached([ROUTER], ["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"])) == ""
     assert own_fault(Settings(), Reached([], ["tcp/127.0.0.1:7447", "tcp/[::1]:7448"])) == ""
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/0.0.0.0:7447", "udp/10.0.0.5:7447", "ws/[::]:7447"])
 def test_an_endpoint_without_certificates_that_others_reach_is_named(settings: Settings, endpoint: str) -> None:
-    """Whether the gateway listens there or dials out."""
     for place in (Reached([endpoint], []), Reached([ROUTER], [endpoint])):
         assert own_fault(settings, place).startswith(
             f"{endpoint} is reached without a certificate: use tls/ or quic/"
@@ -79,13 +75,11 @@ def test_an_endpoint_without_certificates_that_others_reach_is_named(settings: S
 
 @pytest.mark.parametrize("option", ["verify_name_on_connect=false", "enable_mtls=false"])
 def test_an_endpoint_that_takes_back_what_the_file_says_is_named(settings: Settings, option: str) -> None:
-    """Anybody would pass for the router, or get in."""
     endpoint = f"{ROUTER}#{option}"
     assert own_fault(settings, Reached([], [endpoint])) == f"{endpoint} accepts any client: leave out {option}"
 
 
 def test_a_gateway_without_a_zenoh_file_or_with_a_wrong_one_is_not_in_order(settings: Settings) -> None:
-    """Zenoh's own start values shut nobody out."""
     place, file = Reached([ROUTER], []), Path(settings.zenoh.config)
     assert own_fault(Settings(), place).startswith("zenoh.config is not set")
     file.write_text(file.read_text().replace('"default_permission": "deny"', '"default_permission": "allow"'))
@@ -96,7 +90,6 @@ def test_a_gateway_without_a_zenoh_file_or_with_a_wrong_one_is_not_in_order(sett
 
 
 def test_what_could_not_be_tried_is_no_sound_router(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No link proves nothing, nor does a certificate of another key."""
     for name in ("open_session", "close_session"):
         monkeypatch.setattr(self_test, name, lambda *_, **__: None)
     monkeypatch.setattr(self_test, "intrude", lambda *_: Attempt(is_connected=False))

@@ -1,4 +1,4 @@
-"""What a robot in signed mode starts with: what was installed, and what it was shown since."""
+"""The start of a robot in signed mode, by installed files and saved statements."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProvisionedFleet:
 
 
 def started(fleet: ProvisionedFleet, name: str = "cruiser-1") -> str:
-    """The robot's own grant after a start, as it publishes it."""
+    """The robot's own grant after a start."""
     settings = settings_of(fleet, name)
     signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
     signed.close()
@@ -48,7 +48,6 @@ def settings_of(fleet: ProvisionedFleet, name: str = "cruiser-1") -> Settings:
 
 
 def noted(fleet: ProvisionedFleet, kept: Kept) -> None:
-    """The robot's note holds this."""
     note = AuthorityNote.of(settings_of(fleet))
     note.save(kept)
     note.close()
@@ -64,7 +63,6 @@ def renewed(fleet: ProvisionedFleet, days: str) -> Path:
 def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_holds(
     fleet: ProvisionedFleet, days: str
 ) -> None:
-    """Whichever came last: an installation does not end sooner than what it replaces, nor the other way."""
     installed = (fleet.place / "cruiser-1" / "robot.grant").read_text()
     assert started(fleet) == installed
     shown = bundle_of(renewed(fleet, days)).chain
@@ -73,7 +71,7 @@ def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_hol
 
 
 def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fleet: ProvisionedFleet) -> None:
-    """As after a restart: it had begun long ago, and 1970 is longer ago."""
+    """As after a restart: the time must not be 1970."""
     settings = settings_of(fleet)
     text = (fleet.place / "cruiser-1" / "robot.grant").read_bytes().strip()
     signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
@@ -84,7 +82,6 @@ def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fl
 
 
 def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedFleet) -> None:
-    """However long it would last: the authority was replaced."""
     shown = bundle_of(renewed(fleet, "400")).chain
     new = ProvisionedFleet(fleet.place / "new")
     run("sign", "400.request", "--directory", new.place / "authority", "-o", "new.bundle", "--days", "5")
@@ -96,7 +93,6 @@ def test_a_shown_grant_that_does_not_hold_any_more_gives_way(fleet: ProvisionedF
 
 
 def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: ProvisionedFleet, tmp_path: Path) -> None:
-    """After a restart it would have forgotten it. The text names the file."""
     place = tmp_path / "state"
     settings = settings_of(fleet)
     settings = msgspec.structs.replace(settings, gateway=GatewaySettings(state_dir=str(place / "below")))
@@ -117,13 +113,11 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
 
 
 def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
-    """The line names the file and the cure."""
     with pytest.raises(CommandError, match=r"robot\.grant is not of a robot called cruiser-2: 'cruiser provision"):
         started(fleet, "cruiser-2")
 
 
 def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: ProvisionedFleet) -> None:
-    """Of the certificate that the Zenoh file names, and of the first grant of the chain that ends."""
     place = fleet.place / "cruiser-1"
     settings = msgspec.structs.replace(settings_of(fleet), zenoh=ZenohSettings(config=str(place / "robot.json5")))
     signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
@@ -134,12 +128,10 @@ def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: Provision
     assert signed.certificate_ends_s == expires_s(certificate)
 
 
-# When files that were installed anew have a gateway started again.
+# Restarts after a new installation.
 
 
 class Robot:
-    """A robot's files."""
-
     def __init__(self, place: Path) -> None:
         self.fleet = ProvisionedFleet(place)
         self.files = self.fleet.let_in("robot", "cruiser-1")
@@ -153,7 +145,6 @@ class Robot:
 
 @pytest.fixture
 def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Robot:
-    """A robot that was provisioned."""
     monkeypatch.chdir(tmp_path)
     return Robot(tmp_path)
 
@@ -163,7 +154,7 @@ def looks(renewal: Renewal, number: int = 3) -> list[bool]:
 
 
 def test_an_installation_ends_the_gateway_once_two_looks_agree(robot: Robot) -> None:
-    """It writes several files. Whoever looks in between waits."""
+    """An installation writes several files."""
     renewal = Renewal(robot.settings, is_managed=True)
     assert looks(renewal) == [False] * 3
     robot.renew()
@@ -172,7 +163,6 @@ def test_an_installation_ends_the_gateway_once_two_looks_agree(robot: Robot) -> 
 
 
 def test_a_robot_that_gets_its_first_grant_is_started_again(robot: Robot) -> None:
-    """Files that are missing have nothing started."""
     grant = robot.files / "robot.grant"
     text = grant.read_text()
     grant.unlink()
@@ -183,7 +173,6 @@ def test_a_robot_that_gets_its_first_grant_is_started_again(robot: Robot) -> Non
 
 
 def test_a_gateway_that_nobody_starts_again_stays_and_says_so(robot: Robot) -> None:
-    """As in a terminal, or in a container."""
     renewal = Renewal(robot.settings, is_managed=False)
     robot.renew()
     assert looks(renewal) == [False] * 3

@@ -1,4 +1,4 @@
-"""Faults: their words, what each does to the frames, and how it ends."""
+"""Faults: grammar, effects and ends."""
 
 import itertools
 import re
@@ -32,7 +32,6 @@ DRIVE = "Auto_DriveFeedBack"
 
 
 def test_a_bad_checksum_strikes_one_message() -> None:
-    """All its frames are wrong, the others are right."""
     rig = ChassisRig()
     rig.fault(f"checksum {DRIVE}")
     frames = rig.run(1)
@@ -46,7 +45,7 @@ def test_a_bad_checksum_strikes_one_message() -> None:
 
 COUNTED = {
     "stuck, it goes on from where it stood": (0.05, "stuck G for 5 frames | 0.1", "5 5 5 5 5 5 6 7 8 9"),
-    "skipping, it rises by 2 unless told": (0.0, "skip G by 3 | 0.05, skip G | 0.03", "0 3 6 9 12 15 1 3"),
+    "skipping, it rises by 2 by default": (0.0, "skip G by 3 | 0.05, skip G | 0.03", "0 3 6 9 12 15 1 3"),
     "silent, nothing is counted": (0.05, "silence G for 2s | 2, foreign 123 off | 0.03", "5 6 7 8"),
     "dropped, it was sent": (0.0, "drop G every 4 | 0.1, drop G next 3 | 0.06", "0 1 2 4 5 6 8 9 13 14 15"),
 }
@@ -55,7 +54,6 @@ COUNTED = {
 
 @pytest.mark.parametrize("name", COUNTED)
 def test_a_counter_tells_what_became_of_its_message(name: str) -> None:
-    """The checksums stay right meanwhile, and all other messages come: 530 a second."""
     before_s, faults, counters = COUNTED[name]
     rig = ChassisRig()
     rig.run(before_s)
@@ -71,7 +69,6 @@ def test_a_counter_tells_what_became_of_its_message(name: str) -> None:
 
 
 def test_a_frozen_message_counts_on() -> None:
-    """Values as they were, counters and checksums as they should be; the other messages tell the truth."""
     rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.run(2)
@@ -90,7 +87,6 @@ def test_a_frozen_message_counts_on() -> None:
 
 @pytest.mark.parametrize("hit", [True, False])
 def test_a_bouncing_bumper_chatters_and_rests(hit: bool) -> None:  # noqa: FBT001
-    """Contact comes and goes, each time alike, and ends as it was asked to."""
     seen = []
     for _ in range(2):
         rig = ChassisRig()
@@ -111,7 +107,6 @@ def test_a_bouncing_bumper_chatters_and_rests(hit: bool) -> None:  # noqa: FBT00
 
 
 def test_foreign_frames_are_on_the_bus() -> None:
-    """Standard, extended and error frames, as they were asked for, beside all the chassis's own."""
     rig = ChassisRig()
     rig.fault("foreign 123 every 20ms")
     rig.fault("foreign 18C4D6EF 0102 every 100ms")
@@ -127,7 +122,6 @@ def test_foreign_frames_are_on_the_bus() -> None:
 
 
 def test_clear_ends_everything() -> None:
-    """After it the chassis is as at the start."""
     rig = ChassisRig()
     faults = "silence all, checksum all, foreign 123, bumper both on, transmitter remote, sticks 1 1, scale wrong"
     for text in f"{faults}, variant fine, slope 20, payload 100, pedal 1, motor 0, reboot".split(", "):
@@ -151,7 +145,6 @@ def test_clear_ends_everything() -> None:
     ],
 )
 def test_a_fault_with_a_duration_ends_by_itself(text: str, ends_s: float) -> None:
-    """Nobody has to come back to end it."""
     rig = ChassisRig()
     rig.fault(text)
     rig.run(ends_s - 0.1)
@@ -234,18 +227,16 @@ WRONG = {
     "'transmitter remote|command'": ("transmitter remoto",),
     "'clear'": ("clear for 2s",),
 }
-"""What the reason says, and the lines for which it does."""
+"""Parts of the reason, and the lines that give it."""
 
 
 @pytest.mark.parametrize(("text", "line"), RIGHT.items())
 def test_a_line_says_what_it_says(text: str, line: FaultLine) -> None:
-    """Each form of the grammar has its value; letter case does not matter."""
     assert parse(text) == line
 
 
 @pytest.mark.parametrize(("text", "hint"), [(text, hint) for hint, texts in WRONG.items() for text in texts])
 def test_a_wrong_line_names_what_is_wrong_and_the_right_form(text: str, hint: str) -> None:
-    """Or the nearest right word."""
     error = parse(text)
     assert isinstance(error, FaultTextError)
     assert hint in error.reason
@@ -258,7 +249,7 @@ def test_a_wrong_line_names_what_is_wrong_and_the_right_form(text: str, hint: st
     ).map(" ".join)
 )
 def test_no_text_raises(text: str) -> None:
-    """Faults come from the network too: any text is a fault or an error of one bounded line."""
+    """Faults may come from the network."""
     outcome = parse(text)
     if isinstance(outcome, FaultTextError):
         assert outcome.reason
@@ -268,7 +259,6 @@ def test_no_text_raises(text: str) -> None:
 
 
 def test_the_help_names_every_fault() -> None:
-    """What can be asked for is in the grammar that people see, and the other way round."""
     shown = set(re.findall(r"^ {2}(\w+)", GRAMMAR, re.MULTILINE))
     assert shown == {text.split()[0].lower() for text in RIGHT}
 
@@ -278,7 +268,6 @@ def test_the_help_names_every_fault() -> None:
     [("3s bumper front on", 3 * S), (" 0.5s  clear", S // 2), ("clear", 0), ("250ms clear", S // 4)],
 )
 def test_a_scheduled_fault_has_its_delay_first(text: str, after_ns: int) -> None:
-    """Without a delay it is meant at once."""
     fault = parse_scheduled(text)
     assert isinstance(fault, FaultLine)
     assert fault.after_ns == after_ns
@@ -286,7 +275,6 @@ def test_a_scheduled_fault_has_its_delay_first(text: str, after_ns: int) -> None
 
 @pytest.mark.parametrize("text", ["3 bumper front on", "3s", "3s bumpr front on", "", "-1s clear"])
 def test_a_wrong_schedule_is_an_error(text: str) -> None:
-    """A delay has a unit, and a fault after it."""
     assert isinstance(parse_scheduled(text), FaultTextError)
 
 
@@ -295,13 +283,11 @@ def test_a_wrong_schedule_is_an_error(text: str) -> None:
     [("127.0.0.1:29536", ("127.0.0.1", 29536)), ("localhost:0", ("localhost", 0)), ("[::1]:7", ("::1", 7))],
 )
 def test_an_address_reads_and_shows_the_same(text: str, address: tuple[str, int]) -> None:
-    """Brackets belong to the text of an IPv6 address, not to the address."""
     assert parse_address(text) == address
     assert show_address(*address) == text
 
 
 @pytest.mark.parametrize("text", ["", "localhost", ":1", "host:", "host:x", "host:65536", "::1:7", "a b:1"])
 def test_what_is_no_address_is_a_usage_error(text: str) -> None:
-    """One clear line."""
     with pytest.raises(CommandError, match="HOST:PORT"):
         parse_address(text)

@@ -1,4 +1,4 @@
-"""How the chassis moves and behaves: the protocol notes, sentence by sentence."""
+"""Motion and behaviour of the chassis, by the protocol notes."""
 
 import json
 import math
@@ -37,7 +37,6 @@ VARIANTS = pytest.mark.parametrize("variant", [Variant.COARSE, Variant.FINE])
 
 @VARIANTS
 def test_a_second_has_630_valid_frames(variant: Variant) -> None:
-    """Every feedback message comes at its period, with its counter running and its checksum right."""
     rig = ChassisRig(variant)
     frames = rig.run(1)
     assert len(frames) == 630
@@ -52,7 +51,6 @@ def test_a_second_has_630_valid_frames(variant: Variant) -> None:
 
 @given(cuts=st.lists(st.integers(0, 300 * MS), max_size=20))
 def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -> None:
-    """Asked in one go or in slices, the chassis sends the same."""
     whole, sliced = ChassisRig(), ChassisRig()
     for rig in (whole, sliced):
         rig.command("drive", 1.0, 10.0)
@@ -64,7 +62,6 @@ def test_frames_do_not_depend_on_how_often_they_are_asked_for(cuts: list[int]) -
 
 
 def test_the_rate_can_be_raised_to_a_saturated_bus() -> None:
-    """With a multiplier the frames come that many times as often, and the chassis moves no faster for it."""
     nominal, fast = ChassisRig(), ChassisRig(rate_multiplier=11.905)
     for rig in (nominal, fast):
         rig.command("drive", 1.0)
@@ -229,7 +226,7 @@ def act(rig: ChassisRig, text: str) -> None:
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_shows(name: str) -> None:
-    """A value in words, to three places, or between two."""
+    """A value as text, to three places, or a range."""
     stop_mode = next((mode for mode in StopMode if mode.value in name), StopMode.BRAKES)
     rig = ChassisRig(conditions=Conditions(stop_mode=stop_mode))
     for step in SCRIPTS[name]:
@@ -251,7 +248,7 @@ def test_a_script_shows(name: str) -> None:
 
 @pytest.mark.parametrize("example", ["gear D", "steering +24 deg", "parking apply"])
 def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> None:
-    """The printed commands get the printed feedback; the counter, which the manual leaves at 0, aside."""
+    """Except for the counter, which the manual leaves at 0."""
     rows = json.loads(EXAMPLES.read_text(encoding="utf-8"))
     frames = {
         role: [
@@ -271,7 +268,6 @@ def test_it_answers_the_manuals_examples_as_the_manual_does(example: str) -> Non
 
 
 def test_a_bad_command_frame_is_ignored() -> None:
-    """Wrong checksum, wrong length, remote and feedback frames change nothing, and are counted."""
     rig = ChassisRig()
     good = rig.encoder.encode("Auto_SpeakerCmd", {"Horn": True}, 0)
     for bad in (
@@ -289,7 +285,6 @@ def test_a_bad_command_frame_is_ignored() -> None:
 
 @given(script=st.lists(any_frames, max_size=30))
 def test_no_frame_upsets_it(script: list[Frame]) -> None:
-    """Whatever is on the bus, it goes on sending valid feedback."""
     rig = ChassisRig()
     rig.command("drive", 1.0)
     for frame in script:
@@ -299,7 +294,6 @@ def test_no_frame_upsets_it(script: list[Frame]) -> None:
 
 @VARIANTS
 def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) -> None:
-    """Drive command and feedback have the other variant's scale; the wheels tell the truth."""
     rig = ChassisRig(variant)
     rig.command("drive", 1.0)
     rig.run(3)
@@ -317,7 +311,7 @@ def test_the_wrong_scale_shows_in_drive_and_not_in_the_wheels(variant: Variant) 
 
 
 def test_the_firmware_can_change() -> None:
-    """A standing chassis of the other variant shows raw 32768 where the coarse one showed 200."""
+    """A standing chassis of the fine variant shows raw 32768, the coarse one 200."""
     rig = ChassisRig()
     assert rig.named("Auto_WheelSpdFeedback", rig.run(0.1))[-1].data[1:5] == bytes.fromhex("c800c800")
     rig.fault("variant fine for 1s")
@@ -327,7 +321,6 @@ def test_the_firmware_can_change() -> None:
 
 
 def test_a_reboot_forgets_everything() -> None:
-    """Two seconds without feedback and drive; then mode stop, and counters from 0."""
     rig = ChassisRig()
     rig.command("drive", 1.0)
     rig.send("Auto_SpeakerCmd", Horn=True)
@@ -360,12 +353,10 @@ DEMANDS = st.builds(
 
 
 def demand(gear: GearPosition = GearPosition.DRIVE, speed_mps: float = 0.0, angle_deg: float = 0.0) -> Demand:
-    """A demand without brakes."""
     return Demand(gear, speed_mps, angle_deg, 0.0, parked=False)
 
 
 def moving(what: Demand, seconds: float, motion: Motion | None = None) -> Motion:
-    """The motion after this long under one demand."""
     motion = motion or Motion(L_M)
     for _ in range(round(seconds / DT_S)):
         motion.step(what, DT_S)
@@ -374,7 +365,6 @@ def moving(what: Demand, seconds: float, motion: Motion | None = None) -> Motion
 
 @given(st.lists(st.tuples(DEMANDS, st.integers(1, 40)), max_size=30), st.sampled_from([0.0, 0.3, 1.0]))
 def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: float) -> None:
-    """Whatever is asked for, speed, steering and their changes stay within what the machine can do."""
     motion = Motion(L_M, Conditions(pedal_gain=pedal_gain))
     most_mps2 = max(
         ACCELERATION_MPS2, DECELERATION_MPS2, BRAKING_DECELERATION_MPS2 + 0.3, PARKING_DECELERATION_MPS2
@@ -394,7 +384,6 @@ def test_no_demand_makes_it_jump(script: list[tuple[Demand, int]], pedal_gain: f
 
 
 def test_pulses_wrap_as_signed_16_bit() -> None:
-    """Forward counts up and passes from 32767 to -32768; reverse counts back to where it began."""
     motion = Motion(L_M)
     forward = []
     for _ in range(3000):
@@ -424,7 +413,7 @@ def test_it_climbs_what_the_manual_says(slope_deg: float, payload_kg: float) -> 
 @pytest.mark.parametrize("slope_deg", [-20, 0, 20])
 @pytest.mark.parametrize("payload_kg", [0, 100])
 def test_the_parking_brake_stops_a_rolling_robot(slope_deg: float, payload_kg: float) -> None:
-    """Within v^2 / 2a of where it applies, a its grip less or more gravity; then it holds."""
+    """Within v^2 / 2a, where a is the grip corrected by gravity."""
     motion = Motion(L_M, Conditions(slope_deg=slope_deg, payload_kg=payload_kg, parking_delay_s=0.0))
     motion.adopt(speed_mps=2.0, angle_deg=0.0, gear=GearPosition.NEUTRAL, parked=False)
     moving(PARKS, 3, motion)

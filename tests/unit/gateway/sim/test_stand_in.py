@@ -1,4 +1,4 @@
-"""The chassis as it would have answered."""
+"""The simulated chassis in place of a recorded one."""
 
 import pytest
 from hypothesis import given
@@ -15,7 +15,7 @@ from tests.support.strategies import frames as any_frames
 
 
 class Beside:
-    """A chassis that is driven, and one that stands in for it and is told something else."""
+    """A driven chassis, and its stand-in with other commands."""
 
     def __init__(self, variant: Variant = Variant.COARSE) -> None:
         self.rig = ChassisRig(variant)
@@ -26,7 +26,6 @@ class Beside:
         self.pairs: list[tuple[Frame, Frame]] = []
 
     def tell(self, speed_mps: float, angle_deg: float = 0.0) -> None:
-        """What the other run tells the chassis."""
         values: dict[str, dict[str, Value]] = {
             "Auto_GearCmd": {"TargetGear": "drive"},
             "Auto_SteeringCmd": {"TargetAngle": angle_deg},
@@ -38,7 +37,6 @@ class Beside:
             self.stand_in.hear(self._encoder.encode(name, {"Enable": True, **values[name]}, 0), self.rig.now_ns)
 
     def run(self, seconds: float) -> None:
-        """The recorded chassis lives on, and each frame of it is shown otherwise."""
         for _ in range(round(seconds * 100)):
             for frame in self.rig.run(0.01):
                 shown = self.stand_in.show(frame, self.rig.now_ns)
@@ -52,7 +50,7 @@ class Beside:
             into[decoded.layout.name] = dict(decoded.signals)
 
     def speeds_mps(self) -> tuple[float, float]:
-        """Of the recorded chassis, and of the one that stands in."""
+        """Of the recorded chassis and of its stand-in."""
         recorded, shown = (side["Auto_DriveFeedBack"]["Speed"] for side in (self.recorded, self.shown))
         assert isinstance(recorded, float)
         assert isinstance(shown, float)
@@ -61,7 +59,6 @@ class Beside:
 
 @pytest.fixture
 def beside() -> Beside:
-    """A recorded chassis that drives with 1 m/s and 10 degrees."""
     beside = Beside()
     beside.rig.command("drive", 1.0, 10.0)
     beside.tell(1.0, 10.0)
@@ -70,7 +67,6 @@ def beside() -> Beside:
 
 
 def test_it_goes_on_from_where_the_chassis_was_and_does_what_the_other_run_tells_it(beside: Beside) -> None:
-    """Frames keep their times and counters, and what was broken stays so; the recorded chassis goes on."""
     assert all(shown is frame for frame, shown in beside.pairs)
     beside.stand_in.begin(beside.rig.now_ns)
     beside.run(0.5)
@@ -96,7 +92,6 @@ def test_it_goes_on_from_where_the_chassis_was_and_does_what_the_other_run_tells
 
 
 def test_who_holds_the_transmitter_drives_as_recorded(beside: Beside) -> None:
-    """And from where they took the chassis it goes on."""
     beside.stand_in.begin(beside.rig.now_ns)
     beside.tell(0.2)
     beside.rig.fault("transmitter remote for 2s")
@@ -118,7 +113,6 @@ VALID = st.builds(
 
 @given(st.lists(any_frames | VALID, max_size=40), st.integers(0, 40))
 def test_whatever_was_on_the_bus_is_shown(frames: list[Frame], begins: int) -> None:
-    """Nothing that a log may hold raises, however impossible it is."""
     stand_in = StandIn(CHASSIS, Variant.COARSE)
     for number, frame in enumerate(frames):
         if number == begins:

@@ -1,4 +1,4 @@
-"""One feedback frame's stream, raw frames in batches, and the newest samples by their sequence."""
+"""Streams of feedback frames, batches of raw frames, and stored samples."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -23,8 +23,6 @@ PERIOD_NS = 10 * MS
 
 
 class Gears:
-    """A stream of gear frames, and what it counts."""
-
     def __init__(self) -> None:
         self.faults: Counter[FaultKind] = Counter()
         self.stream = FeedbackStream(CHASSIS.decoder(load(Variant.COARSE).messages[GEAR]), self.faults)
@@ -35,12 +33,10 @@ class Gears:
             assert self.stream.receive(self._feedback.frame(GEAR), now_ns) is not None
 
     def failures(self, now_ns: int) -> list[str]:
-        """What health says has failed."""
         return self.stream.health(1.0, now_ns).failures
 
 
 def test_a_silence_is_no_fault_of_the_period() -> None:
-    """The time without frames is told as silence; the frames after it have their own period."""
     gears = Gears()
     gears.receive(range(0, 10 * PERIOD_NS, PERIOD_NS))
     gears.stream.tick(10**9)
@@ -49,7 +45,6 @@ def test_a_silence_is_no_fault_of_the_period() -> None:
 
 
 def test_a_period_that_had_failed_is_forgotten_in_a_silence() -> None:
-    """Who is silent has no period at all; only the silence is a failure then."""
     gears = Gears()
     gears.receive(range(0, (PERIOD_WINDOW_FRAMES + 1) * PERIOD_NS // 2, PERIOD_NS // 2))
     end_ns = PERIOD_WINDOW_FRAMES * PERIOD_NS // 2
@@ -61,7 +56,6 @@ def test_a_period_that_had_failed_is_forgotten_in_a_silence() -> None:
 
 @given(batches=st.lists(st.integers(0, 30), max_size=8))
 def test_frames_beyond_the_capacity_are_dropped_oldest_first_and_counted(batches: list[int]) -> None:
-    """What is taken and what is dropped is what was added; the newest are kept, in their order."""
     held = FrameBatch("can0", capacity=10)
     added = taken = dropped = 0
     for size in batches:
@@ -80,7 +74,6 @@ def test_frames_beyond_the_capacity_are_dropped_oldest_first_and_counted(batches
 
 
 def test_a_row_keeps_everything_of_its_frame() -> None:
-    """Flags, length asked for by a remote frame, CAN FD flags, data and time are in the columns."""
     held = FrameBatch("can0")
     held.add(Frame(REMOTE | 0x123, b"", 17, 0, 5))
     held.add(Frame(EXTENDED | 0x18C4D1EF, b"\x01\x02", 18, 4))
@@ -97,7 +90,7 @@ def test_a_row_keeps_everything_of_its_frame() -> None:
 
 
 def kept(count: int, max_bytes: int = 1_000_000) -> KeptSamples:
-    """So many samples of ten bytes; each tells its sequence."""
+    """Ten-byte samples that contain their sequence."""
     samples = KeptSamples(max_bytes)
     for number in range(count):
         samples.add(b"%010d" % number)
@@ -106,20 +99,17 @@ def kept(count: int, max_bytes: int = 1_000_000) -> KeptSamples:
 
 @pytest.mark.parametrize("first", [0, 5, 99, 100, 4711])
 def test_a_piece_begins_with_the_sequence_that_was_asked_for(first: int) -> None:
-    """And is a bounded number; empty where nothing is that new."""
     found = [int(payload) for payload in kept(100).piece(first)]
     assert found == list(range(first, min(100, first + KEPT_PIECE)))
 
 
 def test_the_oldest_go_by_their_bytes() -> None:
-    """A piece of what has gone begins with the oldest that is there."""
     samples = kept(100, max_bytes=305)
     assert [int(payload) for payload in samples.piece(0)] == list(range(70, 70 + KEPT_PIECE))
     assert [int(payload) for payload in samples.piece(98)] == [98, 99]
 
 
 def test_what_is_larger_than_all_there_is_room_for_is_not_kept() -> None:
-    """Those after it keep their places."""
     samples = kept(3, max_bytes=20)
     samples.add(bytes(21))
     assert samples.piece(0) == []

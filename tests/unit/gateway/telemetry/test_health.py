@@ -43,7 +43,6 @@ def report(meter: HealthMeter, now_ns: int, *, cpu_ns: int = 0, frames: int = 0)
 
 
 def test_rates_are_those_since_the_last_report() -> None:
-    """Processor time and frames are told for the last interval alone, and an idle one is 0."""
     meter = HealthMeter("0", "can0", 0)
     first = report(meter, SECOND_NS, cpu_ns=400_000_000, frames=630)
     second = report(meter, 3 * SECOND_NS, cpu_ns=600_000_000, frames=830)
@@ -55,7 +54,6 @@ def test_rates_are_those_since_the_last_report() -> None:
 
 
 def test_lateness_is_that_since_the_last_report_but_for_the_worst() -> None:
-    """The quantiles begin anew with each report; the worst is that since the start."""
     meter = HealthMeter("0", "can0", 0)
     for late_ms in range(1, 101):
         meter.tick_lateness(late_ms * 1_000_000)
@@ -68,7 +66,6 @@ def test_lateness_is_that_since_the_last_report_but_for_the_worst() -> None:
 
 
 def test_strangers_are_counted_by_name_up_to_a_number() -> None:
-    """A bus full of unknown identifiers does not fill the memory: those beyond it share one count."""
     meter = HealthMeter("0", "can0", 0)
     for can_id in (*range(UNKNOWN_IDENTIFIERS_MAX + 10), 0):
         meter.unknown_identifier(can_id)
@@ -119,7 +116,6 @@ FIELDS: Final = [name for _, name, _ in SIGNALS]
 
 
 def state_of(messages: list[Feedback]) -> RobotState:
-    """The state that these messages make."""
     return robot_state(
         LatestMessages(messages),
         wheelbase_m=CHASSIS.wheelbase_m,
@@ -132,14 +128,12 @@ def state_of(messages: list[Feedback]) -> RobotState:
 
 
 def at_rest_but(kind: type[Feedback], **values: object) -> list[Feedback]:
-    """Every message at rest, but this one with these values."""
     return [
         msgspec.structs.replace(message, **values) if isinstance(message, kind) else message for message in AT_REST
     ]
 
 
 def differing(one: RobotState, other: RobotState) -> dict[str, Any]:
-    """The fields in which a state is not the other, with the one's values."""
     return {
         name: getattr(one, name)
         for name in RobotState.__struct_fields__
@@ -149,7 +143,6 @@ def differing(one: RobotState, other: RobotState) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("kind", "field", "value"), SIGNALS, ids=FIELDS)
 def test_a_field_is_its_own_signal(kind: type[Feedback], field: str, value: object) -> None:
-    """One signal changes the field of its name alone; without its message that is null, or undefined."""
     assert differing(state_of(at_rest_but(kind, **{field: value})), state_of(AT_REST)) == {field: value}
     state = state_of([message for message in AT_REST if not isinstance(message, kind)])
     assert getattr(state, field) is getattr(type(value), "UNDEFINED", None)
@@ -167,5 +160,4 @@ def test_a_field_is_its_own_signal(kind: type[Feedback], field: str, value: obje
     ],
 )
 def test_what_is_marked_invalid_is_unknown(kind: type[Feedback], unknown: dict[str, object]) -> None:
-    """A message that says of itself that it is not valid gives no value, and no mode, to the state."""
     assert differing(state_of(at_rest_but(kind, valid=False)), state_of(AT_REST)) == unknown
