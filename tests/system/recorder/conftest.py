@@ -14,6 +14,5 @@ def endpoint() -> str:
 
 @pytest.fixture
 def peer(endpoint: str) -> Iterator[Peer]:
-    """The robots, or what all others connect to."""
     with Peer(endpoint) as one:
         yield one

@@ -1,4 +1,4 @@
-"""The signature beside a log, as a stranger checks it."""
+"""The signature beside a log, checked by other tools."""
 
 from __future__ import annotations
 
@@ -20,13 +20,11 @@ openssl pkeyutl -verify -pubin -inkey {NAME}.sig -rawin -in signed -sigfile sign
 
 
 def checked(directory: Path) -> str:
-    """What the commands of docs/authority.md say."""
     done = subprocess.run(["/bin/sh", "-c", CHECK], cwd=directory, capture_output=True, text=True, check=False)
     return done.stdout + done.stderr
 
 
 def test_anybody_can_check_a_log_with_openssl(tmp_path: Path) -> None:
-    """Not once its bytes are others, nor once the signed lines are."""
     fleet, recorder = Fleet(), Party("depot-1")
     fleet.authority.grant(recorder, role=GrantRole.RECORDER)
     log, beside = tmp_path / NAME, tmp_path / f"{NAME}.sig"

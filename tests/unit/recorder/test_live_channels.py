@@ -1,4 +1,4 @@
-"""What of robots' samples viewers are shown: channels and records as in a log."""
+"""Live channels for viewers: the same channels and records as in a log."""
 
 import msgspec
 import pytest
@@ -29,7 +29,7 @@ GEAR_KEY, EVENT_KEY = key_of(Gear), key_of(SafetyEvent)
 
 
 class FakeViewers(ViewServer):
-    """Viewers who have subscribed to some topics, or to all."""
+    """Viewers that have subscribed to some topics, or to all."""
 
     def __init__(self, *wanted: str) -> None:
         self.wanted = wanted
@@ -61,7 +61,7 @@ def shown(*samples: ReceivedSample, wanted: tuple[str, ...] = ()) -> tuple[LiveC
 
 
 def test_each_topic_of_a_log_is_shown_with_as_many_records() -> None:
-    """The recorder is the oracle: frames one by one, events twice, what is broken whole, what is unknown too."""
+    """The recorder is the oracle."""
     samples = [
         sample_of(gear(0)),
         sample_of(batch(0, [(WALL_NS, feedback(0)), (WALL_NS + 1, feedback(1))])),
@@ -81,7 +81,6 @@ def test_each_topic_of_a_log_is_shown_with_as_many_records() -> None:
 
 
 def test_what_nobody_looks_at_is_declared_and_not_sent() -> None:
-    """Whoever subscribes later gets what comes then."""
     channels, viewers = shown(sample_of(gear(0)), wanted=("nothing",))
     assert GEAR_KEY in viewers.by_topic
     viewers.wanted = (GEAR_KEY,)
@@ -90,7 +89,6 @@ def test_what_nobody_looks_at_is_declared_and_not_sent() -> None:
 
 
 def test_events_have_their_channels_before_the_first_one() -> None:
-    """Or viewers would subscribe too late to see it."""
     _, viewers = shown(sample_of(gear(0)))
     assert viewers.by_topic[f"{EVENT_KEY}/log"].schema_data == SCHEMA_DATA
     assert EVENT_KEY in viewers.by_topic
@@ -98,7 +96,6 @@ def test_events_have_their_channels_before_the_first_one() -> None:
 
 @pytest.mark.parametrize("topic", [EVENT_KEY, f"{EVENT_KEY}/log", key_of(GatewayInfo)])
 def test_whoever_subscribes_later_is_shown_the_newest_of_what_comes_seldom(topic: str) -> None:
-    """With the time at which it came."""
     channels, viewers = shown(
         sample_of(safety_event(EventKind.STOP)), sample_of(info()), sample_of(gear(0)), wanted=("nothing",)
     )
@@ -109,7 +106,6 @@ def test_whoever_subscribes_later_is_shown_the_newest_of_what_comes_seldom(topic
 
 
 def test_a_huge_sample_is_left_out_and_counted() -> None:
-    """Viewers' rings count records, not bytes."""
     huge = FakeSample(GEAR_KEY, "x", bytes(SAMPLE_MAX_BYTES + 1))
     channels, viewers = shown(huge)
     assert (channels.left_out, viewers.records, viewers.channels) == (1, [], {})
@@ -119,7 +115,6 @@ def test_a_huge_sample_is_left_out_and_counted() -> None:
 
 
 def test_a_robot_that_says_nothing_any_more_is_silent() -> None:
-    """Until it says something again."""
     channels, _ = shown(sample_of(gear(0)), sample_of(gear(0), "cruiser-2"))
     assert channels.robots == {"cruiser-1", "cruiser-2"}
     channels.receive(sample_of(gear(1)), SILENT_NS)
@@ -130,7 +125,6 @@ def test_a_robot_that_says_nothing_any_more_is_silent() -> None:
 
 
 def test_a_robot_is_asked_who_it_is_and_its_bus_is_told() -> None:
-    """As a recorder asks; layouts want the bus."""
     channels, _ = shown(sample_of(gear(0)), sample_of(gear(1)), sample_of(batch(0, [])))
     assert channels.queries(0) == [Query(key_of(GatewayInfo))]
     assert list(channels.changed_robots()) == [
@@ -141,7 +135,6 @@ def test_a_robot_is_asked_who_it_is_and_its_bus_is_told() -> None:
 
 
 def test_names_that_somebody_makes_up_are_bounded() -> None:
-    """Channels beyond the limits are one; nothing grows with what strangers publish."""
     viewers = FakeViewers("nothing")
     channels = LiveChannels(viewers, "1.0")
     for number in range(40_000):

@@ -1,4 +1,4 @@
-"""The run loop, with a source of its own and a real directory."""
+"""The run loop, with a fake source and a real directory."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -61,7 +61,7 @@ def record(source: FakeSource, directory: Path, plan: LogPlan = PLAN) -> Recorde
 
 @pytest.fixture
 def fast_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A clock that shows the loop ten seconds for each one that passes."""
+    """Advances ten seconds for each second."""
     clock = SimpleNamespace(
         monotonic_ns=lambda: 10 * time.monotonic_ns(),
         time_ns=time.time_ns,
@@ -72,7 +72,6 @@ def fast_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
-    """The answers to what is on its way would be given up for more. Then the answer is recorded."""
     source = FakeSource([sample_of(gear(0))], {INFO_KEY: [sample_of(info())]})
     source.room = 0
     one = recorder(source, tmp_path)
@@ -88,7 +87,6 @@ def test_no_more_is_asked_than_the_source_has_room_for(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("fast_clock")
 def test_while_samples_wait_one_thing_is_asked_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The samples are lost otherwise; but a recorder that always has too much to do asks, too."""
     source = FakeSource(sample_of(gear(number), f"r-{number % 100}") for number in range(10**9))
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
     asked: list[int] = []
@@ -105,7 +103,6 @@ def test_while_samples_wait_one_thing_is_asked_at_a_time(tmp_path: Path, monkeyp
 
 
 def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Path) -> None:
-    """It may know by then, and the DBC comes with it."""
     replies = [sample_of(info(Variant.UNKNOWN, dbc="")), sample_of(info())]
     source = FakeSource((sample_of(gear(number)) for number in range(5000)), {INFO_KEY: replies})
     found = read_info(Path(record(source, tmp_path).path or ""))
@@ -115,7 +112,6 @@ def test_a_robot_that_did_not_know_its_variant_is_asked_at_the_end(tmp_path: Pat
 
 
 def test_a_fault_of_our_own_leaves_a_readable_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever ends the loop, the log is closed."""
     monkeypatch.setattr(loop_module, "PASS_NS", 10**12)
 
     def stopped() -> Callable[[], bool]:
@@ -138,7 +134,6 @@ GEAR_KEY = key_of(Gear)
 def test_more_than_can_be_recorded_waits_and_the_rest_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last_samples_ns: int
 ) -> None:
-    """The oldest go; nothing is silently lost, neither on the way nor when the end has no time for it."""
     monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", last_samples_ns)
     source = FakeSource(sample_of(gear(number)) for number in range(50_000))
     one = recorder(source, tmp_path, queue_bytes=2_000_000)
@@ -157,7 +152,7 @@ def test_more_than_can_be_recorded_waits_and_the_rest_is_counted(
 
 
 class FakeControl:
-    """Operators who ask these, each once the one before has been answered; remembers what is published."""
+    """Sends these requests, each after the reply to the one before; stores published messages."""
 
     def __init__(self, *requests: Request) -> None:
         self.asked = [FakeAsked(request) for request in requests]
@@ -183,7 +178,6 @@ class FakeControl:
 
 @pytest.mark.usefixtures("fast_clock")
 def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is marked is on the disk, in the file that the reply names."""
     # However slow the disk is here: a reply that waits for it no longer names no file.
     monkeypatch.setattr(orders, "REPLY_NS", 10**12)
     control = FakeControl(Status(), Mark("it shook"))
@@ -202,7 +196,6 @@ def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_notices_of_others_are_taken(tmp_path: Path) -> None:
-    """A full disk ends the logs, and is told; an incident is written all the same."""
     control = FakeControl()
     source = FakeSource(sample_of(gear(number)) for number in range(100))
     notices: list[Notice] = [DiskRoom(has_room=False, has_incident_room=True), Deleted("old.mcap", 7)]
@@ -224,7 +217,6 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
 
 
 def test_the_leftovers_hear_of_room(tmp_path: Path) -> None:
-    """From the keeper: a recorder that began on a full disk has nothing to write that could tell."""
     notices: list[Notice] = [DiskRoom(has_room=True, has_incident_room=True)]
     keeper = SimpleNamespace(notices=lambda: [notices.pop(0)] if notices else [], use=DiskUse())
     heard: list[Notice] = []
@@ -235,7 +227,7 @@ def test_the_leftovers_hear_of_room(tmp_path: Path) -> None:
 
 
 class Clock:
-    """What the loop takes for the time; it goes on where samples are slow, and a little by itself."""
+    """The loop's clock: it advances with slow samples, and a little at each reading."""
 
     def __init__(self, slow_ns: int) -> None:
         self.now_ns = 1
@@ -260,7 +252,6 @@ class Clock:
 def test_samples_that_take_long_do_not_hold_up_what_is_due(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, slow_ns: int
 ) -> None:
-    """However many come at once: it is looked for in between, the others wait their turn, and all are recorded."""
     clock = Clock(slow_ns)
     monkeypatch.setattr(loop_module, "time", clock)
     monkeypatch.setattr(loop_module, "LAST_SAMPLES_NS", 10**12)

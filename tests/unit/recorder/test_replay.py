@@ -1,4 +1,4 @@
-"""A log published again: its rows, the samples that they were, when each is due, and playing. No real clock."""
+"""Replay of a log: rows, samples, due times, and playing, with a fake clock."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,12 +54,10 @@ RAW = topic("fleet/elsewhere", RawSample)
 
 
 def frame_row(number: int, sequence: int, log_ms: int, of: Topic = RX) -> Row:
-    """A frame of 1 ms times its number."""
     return row_of(of, can_frame(time_ns=WALL_NS + number * MS), sequence, WALL_NS + log_ms * MS)
 
 
 def test_an_incident_and_another_recorders_log_repeat_nothing(tmp_path: Path) -> None:
-    """What two files hold comes once, whenever each recorder received it."""
     samples = drive_samples(10)
     one = write_samples(tmp_path / "one.mcap", samples)
     two = write_samples(tmp_path / "two.mcap", samples[5:], offset_ns=53 * MS)
@@ -72,13 +70,11 @@ def test_an_incident_and_another_recorders_log_repeat_nothing(tmp_path: Path) ->
 
 
 def test_what_one_file_has_twice_was_twice() -> None:
-    """Two frames of one moment are two frames."""
     rows = [frame_row(1, 1, 5), frame_row(1, 1, 5)]
     assert list(once(rows)) == rows
 
 
 def test_what_is_remembered_is_bounded() -> None:
-    """Files that repeat each other do so at about the same time; what is long past is forgotten."""
     other = topic(RX.name)
     rows = [frame_row(number, number, number) for number in range(100)]
     again = [row_of(other, can_frame(time_ns=row.publish_ns), row.sequence) for row in rows]
@@ -114,7 +110,6 @@ OTHER_ROW = Row(RAW, 0, WALL_NS + 50 * MS, WALL_NS, b"")
     ids=["batches", "others", "endless"],
 )  # fmt: skip
 def test_frames_of_one_batch_are_one_run(rows: list[Row], found: list[tuple[Topic, list[int]]]) -> None:
-    """Each with its topic and the numbers of its rows."""
     assert [(run[0].topic, [(row.publish_ns - WALL_NS) // MS for row in run]) for run in runs(rows)] == found
 
 
@@ -128,7 +123,6 @@ def replayed(path: Path, root: str = "replay") -> tuple[list[ReplaySample], Samp
 
 
 def test_the_payloads_are_those_that_were_recorded(tmp_path: Path) -> None:
-    """Byte by byte, in their order, with their encoding and attachment, under the other root."""
     samples = drive_samples()
     found, _ = replayed(write_samples(tmp_path / "log.mcap", samples))
     assert [one.key for one in found] == ["replay" + one.key.removeprefix("fleet") for one in samples]
@@ -147,7 +141,6 @@ def test_the_payloads_are_those_that_were_recorded(tmp_path: Path) -> None:
 
 
 def shifted_to(one: CanFrames, time_ns: int) -> CanFrames:
-    """With another time of its own, and the frames' as they were."""
     return CanFrames(
         time_ns, one.sequence, one.bus, 0, one.frame_time_ns, one.can_id, one.fd_flags, one.length, one.data
     )
@@ -159,7 +152,6 @@ PLAIN_SUBJECTS = [subject for subject in ALL_SUBJECTS if subject.type is not Can
 @pytest.mark.parametrize("subject", PLAIN_SUBJECTS, ids=lambda subject: subject.schema_name)
 @given(data=st.data())
 def test_every_message_comes_back_as_it_was(subject: Subject, data: st.DataObject) -> None:
-    """Of every subject, whatever its fields hold: record, typed message, payload."""
     message = data.draw(message_of(subject.type))
     is_own = subject in RECORDER_SUBJECTS
     key = keys.of_recorder("fleet", "bench", subject.name) if is_own else keys.build("fleet", ROBOT, subject)
@@ -173,7 +165,6 @@ def test_every_message_comes_back_as_it_was(subject: Subject, data: st.DataObjec
 
 
 def test_frames_become_the_words_that_they_were() -> None:
-    """Identifier and kind in one."""
     found = batch(
         [
             can_frame(0x123, WALL_NS + 5, b"", is_extended=False, is_remote=True),
@@ -187,7 +178,6 @@ def test_frames_become_the_words_that_they_were() -> None:
 
 
 def test_a_command_is_never_published() -> None:
-    """Whatever the log holds, and whoever asks for it."""
     new_key = KeyMap("replay", ["fleet"])
     of = topic("fleet/cruiser-1/@cmd/operator-1/stop", RawSample)
     samples = Samples(new_key, every_key, Faults())
@@ -204,7 +194,6 @@ def test_a_command_is_never_published() -> None:
 
 
 def test_an_encoding_that_is_too_long_for_zenoh_is_withheld() -> None:
-    """In bytes, not in characters."""
     of = topic("fleet/thing/@raw", RawSample)
     samples = Samples(KeyMap("replay", ["fleet"]), every_key, Faults())
     longest = "x" * ENCODING_BYTES_MAX
@@ -231,13 +220,11 @@ def test_an_encoding_that_is_too_long_for_zenoh_is_withheld() -> None:
     ],
 )
 def test_a_key_is_put_under_the_new_root(roots: str, key: str, new_key: str | None) -> None:
-    """A log may hold anything."""
     assert KeyMap("replay", roots.split())(key) == new_key
 
 
 @given(st.text(max_size=40))
 def test_whatever_a_log_says_stays_under_the_root(key: str) -> None:
-    """And is no command, and reaches one key alone."""
     found = KeyMap("replay", ["fleet"])(key)
     if found is not None:
         assert found.startswith("replay/")
@@ -256,13 +243,12 @@ def test_whatever_a_log_says_stays_under_the_root(key: str) -> None:
     ],
 )
 def test_roots_overlap_by_chunks(one: str, other: str, is_one: bool) -> None:  # noqa: FBT001 - a column of the table
-    """What is under fleet/old is recorded by whoever records fleet."""
+    """A recorder of fleet also records fleet/old."""
     assert overlap(one, other) is is_one
     assert overlap(other, one) is is_one
 
 
 def test_what_never_was_a_sample_is_passed_over() -> None:
-    """Lines for viewers, other makers' messages, and a schema of ours under a key of another."""
     assert not may_hold(topic("fleet/cruiser-1/safety/event/log", Gear), every_key)
     assert not may_hold(topic("fleet/cruiser-1/state", Gear), every_key)
     assert may_hold(topic(key_of(Gear), Gear), every_key)
@@ -272,7 +258,6 @@ def test_what_never_was_a_sample_is_passed_over() -> None:
 
 
 def test_broken_samples_are_published_as_they_were(tmp_path: Path) -> None:
-    """Under the key that they had, and those that say that a key is gone say so again."""
     broken = FakeSample(key_of(Gear), BY_TYPE[Gear].encoding, b"\xc1broken")
     gone = FakeSample("fleet/elsewhere", "zenoh/bytes", b"", deleted=True)
     found, _ = replayed(write_samples(tmp_path / "log.mcap", [sample_of(gear(0)), broken, gone]))
@@ -283,8 +268,6 @@ def test_broken_samples_are_published_as_they_were(tmp_path: Path) -> None:
 
 
 def test_only_wanted_keys_are_published() -> None:
-    """Of a channel that samples of several keys share, too: each tells its own."""
-
     def wants(key: str) -> bool:
         return key == "wanted/x"
 
@@ -299,7 +282,6 @@ def test_only_wanted_keys_are_published() -> None:
 
 
 def test_all_receive_times_move_together() -> None:
-    """Of the message and of the frames in it; nothing else moves, and no time leaves its bounds."""
     one = batch([can_frame(time_ns=WALL_NS), can_frame(time_ns=WALL_NS + MS)], 3)
     later = shifted(one, 5 * MS)
     assert isinstance(later, CanFrames)
@@ -313,7 +295,6 @@ def test_all_receive_times_move_together() -> None:
 
 @given(st.sampled_from(LOGGED), st.binary(max_size=60))
 def test_bytes_that_are_no_message_are_a_fault(kind: type[msgspec.Struct], data: bytes) -> None:
-    """Told and passed over; what can be read all the same is a sample."""
     name = "fleet/elsewhere" if kind is RawSample else "fleet/cruiser-1/can/can0/rx"
     subject = next((one for one in ALL_SUBJECTS if one.type is kind), None)
     if subject is not None and subject.type is not CanFrames:
@@ -355,7 +336,6 @@ HOUR = 3600 * SECOND
 def test_when_what_is_so_far_into_a_log_is_due(
     speed: float, offsets_ns: list[int], due_ns: list[int], cut: int
 ) -> None:
-    """By its time in the log, the speed, and how long a pause may be."""
     pace = Pace(speed)
     pace.start(5000)
     assert [pace.due_ns(WALL_NS + offset_ns) - 5000 for offset_ns in offsets_ns] == due_ns
@@ -364,7 +344,6 @@ def test_when_what_is_so_far_into_a_log_is_due(
 
 @given(st.lists(st.integers(0, 20_000_000), min_size=1, max_size=300), st.sampled_from([1.0, 3.0, 0.7, 10.0]))
 def test_nothing_adds_up(steps_ns: list[int], speed: float) -> None:
-    """After any number of steps the due time is that of the whole way, to the nanosecond, and none steps back."""
     pace = Pace(speed)
     times = [sum(steps_ns[:number]) for number in range(len(steps_ns) + 1)]
     found = [pace.due_ns(WALL_NS + time) for time in times]
@@ -376,11 +355,7 @@ OVER = CommandError("it is over", ExitCode.UNREACHABLE)
 
 
 class Rig:
-    """A log of so many samples, one each 0.1 s, an outlet that takes its time, and a clock that both move.
-
-    Attributes:
-        sent: when, and what, in ms since the beginning, and by how much its times were moved.
-    """
+    """A log with a sample each 0.1 s, a slow outlet, and a clock; ``sent`` has time, sample and shift in ms."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, length: int = 10) -> None:
         self.begun_ns = self.now_ns = 77 * SECOND
@@ -464,7 +439,6 @@ def test_each_is_sent_when_it_is_due(
     sent: list[tuple[int, int, int]],
     played: Played,
 ) -> None:
-    """In between the outlet is looked after."""
     rig = Rig(monkeypatch)
     for knob, value in given_.items():
         setattr(rig, knob, value)
@@ -475,7 +449,6 @@ def test_each_is_sent_when_it_is_due(
 
 
 def test_the_outlet_is_looked_after_when_there_is_no_time_to_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As fast as possible, and slower than that: a gateway that turns up is seen all the same."""
     rig = Rig(monkeypatch, 10_000)
     rig.takes_ns, rig.halts_at_ns = MS, SECOND
     assert rig.play(AS_FAST_AS_POSSIBLE) == Played(1, halt=OVER)
@@ -484,7 +457,6 @@ def test_the_outlet_is_looked_after_when_there_is_no_time_to_wait(monkeypatch: p
 
 @pytest.mark.parametrize("speed", [1.0, 4.0, AS_FAST_AS_POSSIBLE])
 def test_the_present_is_that_of_sending(monkeypatch: pytest.MonkeyPatch, speed: float) -> None:
-    """Whatever the speed: what is due now gets the time of now."""
     rig = Rig(monkeypatch)
     rig.takes_ns = MS
     rig.play(speed, is_now=True)
@@ -494,7 +466,6 @@ def test_the_present_is_that_of_sending(monkeypatch: pytest.MonkeyPatch, speed: 
 
 
 def test_a_key_expression_is_checked_before_anything_is_sent() -> None:
-    """One that is none is a mistake of who has typed it."""
     with pytest.raises(CommandError, match="no key expression") as caught:
         wants_of(["fleet//x"])
     assert caught.value.code is ExitCode.USAGE
@@ -512,5 +483,4 @@ def test_a_key_expression_is_checked_before_anything_is_sent() -> None:
     ],
 )
 def test_keys_match_as_they_do_in_zenoh(expression: str, key: str, is_wanted: bool) -> None:  # noqa: FBT001 - pytest gives it
-    """What is no key is not wanted."""
     assert wants_of(["elsewhere", expression])(key) is is_wanted

@@ -1,4 +1,4 @@
-"""``cruiser record`` as a process of its own, against a small Zenoh peer."""
+"""``cruiser record`` as a process, with a small Zenoh peer."""
 
 import json
 import signal
@@ -23,7 +23,6 @@ FLUSH_S = 0.5
 
 
 def publish(peer: Peer, count: int) -> None:
-    """Gear messages and batches of two frames each."""
     start_ns = time.time_ns()
     for number in range(count):
         now_ns = start_ns + number * 20 * MS
@@ -34,7 +33,7 @@ def publish(peer: Peer, count: int) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
-    """With all that was sent, the robot's answer, and the result on stdout."""
+    """It holds all samples and the robot's info."""
     endpoint = free_endpoint()
     words = ["-k", "fleet/**", "-o", str(tmp_path / "logs"), "--connect", endpoint, "--json"]
     with Peer(endpoint) as peer, recording(*words) as process:
@@ -63,13 +62,12 @@ def test_a_signal_ends_in_a_whole_file(tmp_path: Path, number: int) -> None:
 
 
 def all_written(directory: Path, sent: int) -> bool:
-    """Are all gear messages and frames in the log, which is still being written?"""
     found = [counts(one) for one in readable(directory)]
     return [(one.get(key_of(Gear)), one.get(key_of(CanFrames))) for one in found] == [(sent, 2 * sent)]
 
 
 def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> None:
-    """What was received longer ago than the setting is in the part, which any reader reads up to its end."""
+    """Any reader reads the part up to its end."""
     endpoint = free_endpoint()
     with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint) as process:
         link(peer, tmp_path)
@@ -92,7 +90,6 @@ def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> Non
 
 
 def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: Path) -> None:
-    """The gateway comes, goes and comes again; one file holds it all."""
     endpoint = free_endpoint()
     key = "fleet/cruiser-1/**"
     with recording("-k", key, "-o", str(tmp_path), "--connect", endpoint) as process:
@@ -108,7 +105,6 @@ def test_a_recorder_that_is_there_first_waits_and_goes_on_after_a_cut(tmp_path: 
 
 
 def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
-    """Nobody answered: exit code 4, a warning at once, one clear line at the end, and JSON that says so."""
     words = ["-o", str(tmp_path), "--connect", free_endpoint(), "--json"]
     with recording(*words) as process:
         warning = process.read_line()
@@ -121,7 +117,6 @@ def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
 
 
 def test_a_hangup_begins_a_new_file(tmp_path: Path) -> None:
-    """SIGHUP, as services take it: nothing is lost or doubled, and each file can be read alone."""
     endpoint = free_endpoint()
     with Peer(endpoint) as peer, recording("-o", str(tmp_path), "--connect", endpoint, "--json") as process:
         link(peer, tmp_path)
@@ -154,10 +149,7 @@ def has_gear(directory: Path) -> bool:
 
 @pytest.mark.night
 def test_recorders_killed_at_random_instants_lose_but_the_last_moment(tmp_path: Path) -> None:
-    """Each next start makes whole what the one before left: no holes, nothing twice, and no log without its end.
-
-    How much the last moment is, the bench measures (``python -m tests.bench kills``).
-    """
+    """No holes or duplicates. The bench measures the loss (``python -m tests.bench kills``)."""
     kills = recorder_kills.measure(4, tmp_path)
     assert (kills.holes, kills.doubled, kills.not_whole) == (0, 0, [])
     assert len(kills.lost_ms) == 4

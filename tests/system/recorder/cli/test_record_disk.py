@@ -33,14 +33,13 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Where a test's peer listens; incidents are short, and nothing but a test fills its disk."""
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_AFTER_S", "0.5")
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "0")
     return free_endpoint()
 
 
 def fill_until(peer: Peer, condition: Callable[[], object]) -> None:
-    """Publish a megabyte a second, or what the machine takes, until something is so."""
+    """Publish about a megabyte a second until a condition holds."""
 
     def is_so() -> bool:
         peer.put(FakeSample("fleet/cruiser-1/large", "zenoh/bytes", os.urandom(20_000)))
@@ -51,7 +50,6 @@ def fill_until(peer: Peer, condition: Callable[[], object]) -> None:
 
 
 def make_incident(peer: Peer, directory: Path) -> Path:
-    """Have the robot raise an alarm, and wait until its incident is whole."""
     event = msgspec.structs.replace(safety_event(EventKind.FAULT, Severity.ERROR), time_ns=time.time_ns())
     peer.put(sample_of(event))
     wait_until(lambda: any(directory.glob("*.incident.mcap")))
@@ -61,7 +59,6 @@ def make_incident(peer: Peer, directory: Path) -> Path:
 def test_a_budget_is_kept_and_the_oldest_logs_go(
     peer: Peer, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Files are short for it; each deletion is told; an incident stays, and so does what is no log."""
     budget = 2_000_000
     monkeypatch.setenv("CRUISER_RECORDER_BUDGET_BYTES", str(budget))
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_BEFORE_S", "1")
@@ -88,14 +85,13 @@ def test_a_budget_is_kept_and_the_oldest_logs_go(
 
 
 def number(name: str) -> int:
-    """Which of the files of one second a log is."""
     return int(name.partition("Z")[2].partition(".")[0].lstrip("-") or 1)
 
 
 def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
     small_disk: Path, peer: Peer, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What others fill a disk with costs none of the logs that there are; what came meanwhile is told as a gap."""
+    """Other data on the disk costs no log; the missing time is a gap."""
     monkeypatch.setenv("CRUISER_RECORDER_FLOOR_BYTES", "200000000")
     told = Told(peer)
     with recording(*at(small_disk, endpoint), "--json") as process:

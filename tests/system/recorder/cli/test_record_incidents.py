@@ -1,4 +1,4 @@
-"""``cruiser record``: a robot's alarm keeps what came before and after in a file of its own."""
+"""``cruiser record``: an alarm records an incident file, with the time before and after."""
 
 import json
 import time
@@ -30,7 +30,6 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> str:
-    """Where a test's peer listens; incidents are short."""
     monkeypatch.setenv("CRUISER_RECORDER_INCIDENT_AFTER_S", "1.5")
     return free_endpoint()
 
@@ -73,8 +72,6 @@ class Robot:
 
 
 def started(told: Told, robot: Robot) -> int:
-    """Wait until the recorder has heard the robot for a while; how much of it was sent before that while."""
-
     def is_heard() -> bool:
         robot.drive()
         return bool(told.healths()) and told.healths()[-1].ring_bytes > 0
@@ -91,7 +88,6 @@ def started(told: Told, robot: Robot) -> int:
 
 
 def test_an_alarm_keeps_what_came_before_and_after(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """The log goes on beside it, lacks nothing, and links to it; everybody is told."""
     robot = Robot(peer)
     with recording(*at(tmp_path, endpoint), "--json") as process:
         told = Told(peer)
@@ -129,7 +125,6 @@ def test_an_alarm_keeps_what_came_before_and_after(peer: Peer, endpoint: str, tm
 
 
 def test_the_death_of_a_gateway_at_work_keeps_what_came_before(endpoint: str, tmp_path: Path) -> None:
-    """Its liveliness token goes with it, whatever it could not say any more."""
     with recording(*at(tmp_path, endpoint)) as process:
         with Peer(endpoint) as gateway:
             token = gateway.session.liveliness().declare_token(keys.liveliness("fleet", "cruiser-1"))

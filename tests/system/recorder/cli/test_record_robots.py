@@ -1,4 +1,4 @@
-"""``cruiser record``: whose log a sample goes to, however many robots there are, and whatever they send."""
+"""``cruiser record``: many robots and keys."""
 
 import json
 import re
@@ -18,8 +18,6 @@ from tests.support.waiting import wait_until
 
 
 def put_until_told(peer: Peer, told: Told, keys: list[str], keys_heard: int) -> None:
-    """Publish a byte under each of these keys until the recorder has heard of so many."""
-
     def condition() -> bool:
         for key in keys:
             peer.put(FakeSample(key, "zenoh/bytes", b"x"))
@@ -36,13 +34,11 @@ def by_name(directory: Path) -> dict[str, LogInfo]:
 
 
 def of_robots(found: LogInfo) -> set[str]:
-    """The topics with messages that are not the recorder's own."""
     return {topic for topic, count in counts(found).items() if count and "@recorder" not in topic}
 
 
 @pytest.mark.night
 def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """Each robot's log is whole, and lacks nothing."""
     robots = [f"robot-{number}" for number in range(300)]
     keys = [f"fleet/{robot}/some/key-{number}" for robot in robots for number in range(10)]
     with recording(*at(tmp_path, endpoint), "--json") as process:
@@ -66,7 +62,7 @@ def test_hundreds_of_robots_and_thousands_of_keys(peer: Peer, endpoint: str, tmp
 
 
 def test_more_robots_than_files_may_be_open_cost_no_log(peer: Peer, endpoint: str, tmp_path: Path) -> None:
-    """Those beyond it share one: a log that cannot be opened would hold up all others."""
+    """Robots beyond the limit share a log."""
     robots = [f"robot-{number}" for number in range(250)]
     with recording(*at(tmp_path, endpoint), ulimit="-n 200") as process:
         told = Told(peer)

@@ -26,8 +26,6 @@ OWNED = {number: {one for one in ROBOTS if Shard(number, TOTAL).has(one)} for nu
 
 
 class Fleet:
-    """Robots that publish their gear, each its own sequence, until it is closed."""
-
     def __init__(self, endpoint: str) -> None:
         self._peer = Peer(endpoint)
         liveliness = self._peer.session.liveliness()
@@ -68,7 +66,6 @@ def robots_of(directory: Path, number: int) -> set[str]:
 def test_shards_share_a_fleet_and_none_takes_the_robots_of_another(
     endpoint: str, fleet: Fleet, tmp_path: Path
 ) -> None:
-    """Each robot is in the logs of one; what is lost while one is away is told, and it goes on where it was."""
     with ExitStack() as stack:
         shards = {number: shard(stack, endpoint, tmp_path, number) for number in OWNED}
         wait_until(lambda: all(robots_of(tmp_path, number) >= OWNED[number] for number in OWNED))
@@ -87,7 +84,6 @@ def test_shards_share_a_fleet_and_none_takes_the_robots_of_another(
 
 
 def check(directory: Path) -> list[dict[str, str]]:
-    """What is in none of the shards' logs."""
     places = [str(directory / str(number)) for number in OWNED]
     done = subprocess.run(
         [sys.executable, "-m", "gateway", "review", "check", "--json", *places],

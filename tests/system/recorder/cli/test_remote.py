@@ -24,8 +24,6 @@ HOSTILE = "\x1b[2J\x9b31m\x07\nhost: recording\r\u202e"
 
 
 class Depot:
-    """A peer, a recorder that is called depot, and where it writes."""
-
     def __init__(self, peer: Peer, endpoint: str, directory: Path) -> None:
         self.peer = peer
         self.directory = directory
@@ -36,7 +34,6 @@ class Depot:
         return ask(*words, *self._connect)
 
     def reply(self, *words: str) -> dict[str, object]:
-        """The one reply to a command that is obeyed."""
         code, out, err = self.ask(*words, "--json")
         assert (code, err) == (ExitCode.OK, "")
         (line,) = out.splitlines()
@@ -46,7 +43,6 @@ class Depot:
 
 @pytest.fixture
 def depot(peer: Peer, endpoint: str, tmp_path: Path) -> Iterator[Depot]:
-    """A recorder that has heard something."""
     logs = tmp_path / "logs"
     with recording("-o", str(logs), "--connect", endpoint, "--name", "depot") as process:
         link(peer, logs)
@@ -60,7 +56,6 @@ def depot(peer: Peer, endpoint: str, tmp_path: Path) -> Iterator[Depot]:
 
 
 def test_status_says_how_a_recorder_is(depot: Depot) -> None:
-    """In lines for people; as a line of JSON for programs."""
     code, out, err = depot.ask("status")
     assert (code, err) == (ExitCode.OK, "")
     lines = out.splitlines()
@@ -77,7 +72,6 @@ def test_status_says_how_a_recorder_is(depot: Depot) -> None:
 
 
 def test_a_mark_keeps_an_incident(depot: Depot) -> None:
-    """With who marked it and why; of one robot, or of all."""
     reply = depot.reply("mark", "--robot", "cruiser-1", "-m", "a bump\nand a \x1b[1mrattle")
     (name,) = reply["files"] if isinstance(reply["files"], list) else []
     assert re.fullmatch(r"cruiser-1-\d{8}T\d{6}Z\.incident\.mcap", name)
@@ -98,8 +92,6 @@ def test_a_mark_keeps_an_incident(depot: Depot) -> None:
 
 
 def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
-    """Exit code 4, one clear line; whom it looked for. Nor is one of use that was there a moment ago."""
-
     def answer(*words: str, to: str = endpoint, timeout_s: float = 0.5) -> tuple[int, str, str]:
         return ask(*words, "--connect", to, "--timeout", str(timeout_s))
 
@@ -116,7 +108,6 @@ def test_without_a_recorder_it_says_so(peer: Peer, endpoint: str) -> None:
 
 
 def test_words_before_an_action_hold(endpoint: str) -> None:
-    """As if they stood behind it."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--log-level", default="warning")
     record.add_arguments(parser)
@@ -129,7 +120,6 @@ def test_words_before_an_action_hold(endpoint: str) -> None:
 
 @pytest.mark.parametrize("words", [["--json"], []])
 def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words: list[str]) -> None:
-    """Anybody on the network may answer like one."""
     payload = a_reply(HOSTILE, files=[HOSTILE])
     with answering(peer, "depot", payload):
         code, out, err = ask("status", "--connect", endpoint, *words)
@@ -144,7 +134,6 @@ def test_what_a_recorder_says_rules_no_terminal(peer: Peer, endpoint: str, words
 
 
 def test_two_that_share_a_name_are_both_shown_and_of_several_one_is_named(peer: Peer, endpoint: str) -> None:
-    """They may have begun before they could know of each other. Nothing but status is asked of all."""
     words = ("mark", "--connect", endpoint, "--timeout", "2")
     with answering(peer, "depot", a_reply("here"), a_reply("and here")):
         assert ask(*words) == (ExitCode.OK, "depot: here\ndepot: and here\n", "")

@@ -1,4 +1,4 @@
-"""Logs behind a server of HTTP that is slow, refuses, breaks off, or changes what it has."""
+"""Logs behind an HTTP server that is slow, refuses, disconnects, or changes its content."""
 
 import asyncio
 import threading
@@ -32,7 +32,6 @@ def well(_: BaseHTTPRequestHandler) -> bool:
 def served(
     answer: Answer = well, mark: Callable[[], str] = lambda: "one"
 ) -> Iterator[tuple[ObstoreObjects, list[str]]]:
-    """A server with one object, which answers ranges; and the ranges that it is asked for."""
     asked: list[str] = []
     is_over = threading.Event()
 
@@ -40,7 +39,7 @@ def served(
         protocol_version = "HTTP/1.1"
 
         def log_message(self, *_: object) -> None:
-            """Nobody reads it."""
+            """Log nothing."""
 
         def do_HEAD(self) -> None:
             self.head(200, len(DATA))
@@ -120,7 +119,6 @@ def refuse(status: int, handler: Any) -> bool:  # noqa: ANN401
     ],
 )
 def test_a_server_that_does_not_answer_well_is_a_line(answer: Answer, line: str) -> None:
-    """With its cure, if there is one. Nobody waits for ever, and nothing of the answer is taken for a range."""
     with served(answer) as (objects, _), pytest.raises(StoreError, match=line) as raised:
         objects.read("a.mcap", 1000, 2000, "one")
     assert "\n" not in str(raised.value)
@@ -145,7 +143,6 @@ def test_a_connection_that_breaks_off_once_costs_another_request() -> None:
 
 
 def test_an_answer_without_an_end_fills_no_memory() -> None:
-    """A range whose header is right, and whose body goes on and on, is read to its length, or a little beyond."""
     sent: list[int] = []
 
     def endless(handler: BaseHTTPRequestHandler) -> bool:

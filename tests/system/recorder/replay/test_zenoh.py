@@ -39,7 +39,6 @@ def outlet_at(endpoint: str, root: str = "replay", *, waits: bool = True) -> Ite
 
 @pytest.fixture
 def peer() -> Iterator[tuple[Peer, str]]:
-    """Somebody on Zenoh, and where."""
     endpoint = free_endpoint()
     with Peer(endpoint) as one:
         yield one, endpoint
@@ -65,7 +64,6 @@ def received(subscriber: Received, count: int) -> list[zenoh.Sample]:
 
 
 def test_the_quality_of_service_is_that_of_the_subject(peer: tuple[Peer, str]) -> None:
-    """As the table has it; whether a sample may be lost is decided by the replay's speed."""
     one, endpoint = peer
     subscriber = subscribe(one)
     for waits, congestion in ((True, zenoh.CongestionControl.BLOCK), (False, zenoh.CongestionControl.DROP)):
@@ -86,7 +84,6 @@ def test_the_quality_of_service_is_that_of_the_subject(peer: tuple[Peer, str]) -
 
 
 def test_a_sample_that_was_kept_is_sent_as_it_was(peer: tuple[Peer, str]) -> None:
-    """With its attachment; one that was a deletion is one again."""
     one, endpoint = peer
     subscriber = subscribe(one)
     with outlet_at(endpoint) as outlet:
@@ -104,7 +101,6 @@ def test_a_sample_that_was_kept_is_sent_as_it_was(peer: tuple[Peer, str]) -> Non
 
 
 def test_a_key_that_zenoh_does_not_take_is_counted(peer: tuple[Peer, str]) -> None:
-    """And ends nothing."""
     _, endpoint = peer
     with outlet_at(endpoint) as outlet:
         outlet.send(ReplaySample(0, "replay//x", "text/plain", raw=b""), 0)
@@ -113,7 +109,6 @@ def test_a_key_that_zenoh_does_not_take_is_counted(peer: tuple[Peer, str]) -> No
 
 
 def test_no_token_is_declared_and_no_query_answered(peer: tuple[Peer, str]) -> None:
-    """What is replayed is no robot, and says so to whoever asks."""
     one, endpoint = peer
     subscriber = subscribe(one)
     with outlet_at(endpoint) as outlet:
@@ -128,7 +123,6 @@ def test_no_token_is_declared_and_no_query_answered(peer: tuple[Peer, str]) -> N
     ("root", "is_refused"), [("fleet", True), ("fleet/cruiser-1", True), ("site", True), ("replay", False)]
 )
 def test_no_root_is_taken_where_a_gateway_is(peer: tuple[Peer, str], root: str, *, is_refused: bool) -> None:
-    """Nor one above it or below it: whoever records the one records the other."""
     one, endpoint = peer
     live = [keys.liveliness(name, "cruiser-1") for name in ("fleet", "site/fleet")]
     tokens = [one.session.liveliness().declare_token(name) for name in live]
@@ -140,7 +134,6 @@ def test_no_root_is_taken_where_a_gateway_is(peer: tuple[Peer, str], root: str, 
 
 
 def test_where_it_only_listens_it_is_a_network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It does not join this machine's gateway, and tells those who connect to it nothing of each other."""
     machine, here = free_endpoint(), free_endpoint()
     monkeypatch.setattr(zenoh_session, "DEFAULT_ENDPOINT", machine)
     with (

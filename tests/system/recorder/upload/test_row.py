@@ -1,4 +1,4 @@
-"""Rows of the catalog are made by processes of their own."""
+"""Rows of the catalog, made by other processes."""
 
 import asyncio
 import re
@@ -25,14 +25,13 @@ def made(log: Path) -> bytes:
 
 
 def test_a_process_makes_the_row_of_a_log(tmp_path: Path) -> None:
-    """Under the log's own name."""
     log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
     found = read_row(made(log), log.stat().st_size)
     assert (found.file, found.messages) == ("a.mcap", 3)
 
 
 def absent_on_robots() -> list[str]:
-    """The modules of this environment that the Debian package does not bring."""
+    """The modules of this environment that the Debian package lacks."""
     pinned = (ROOT / "constraints-run.txt").read_text(encoding="utf-8")
     there = {normalized(name) for name in re.findall(r"^([\w.-]+)==", pinned, re.MULTILINE)}
     return [
@@ -43,7 +42,6 @@ def absent_on_robots() -> list[str]:
 
 
 def test_what_a_robot_has_installed_suffices(tmp_path: Path) -> None:
-    """The row needs no package but those of the Debian package: not pyarrow, nor what else searches catalogs."""
     log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
     absent = absent_on_robots()
     assert "pyarrow" in absent
@@ -62,14 +60,12 @@ def normalized(name: str) -> str:
 
 
 def test_what_is_no_log_has_no_row(tmp_path: Path) -> None:
-    """The process says why."""
     log = saved(tmp_path / "a.mcap", b"no log")
     with pytest.raises(RowError, match="is no MCAP file"):
         made(log)
 
 
 def test_a_row_that_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its process is ended."""
     monkeypatch.setattr(rows, "ROW_S", 0.01)
     log = saved(tmp_path / "a.mcap", own_log([gears(0, 3, 0)]))
     with pytest.raises(RowError, match="given up"):

@@ -1,4 +1,4 @@
-"""``cruiser upload`` as a process: what kills it costs nothing but time."""
+"""``cruiser upload`` as a process: a kill costs only time."""
 
 import os
 import signal
@@ -22,7 +22,6 @@ def words(logs: Path, store: Path, rate: int, *more: str) -> list[str]:
 
 @pytest.mark.usefixtures("beside_foreign_modules")
 def test_what_is_killed_in_the_middle_is_done_again(tmp_path: Path) -> None:
-    """The store shows no wrong log meanwhile."""
     logs, store = tmp_path / "logs", tmp_path / "store"
     data = own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(2_000_000))])
     saved(logs / LOG, data)
@@ -40,7 +39,7 @@ def test_what_is_killed_in_the_middle_is_done_again(tmp_path: Path) -> None:
 
 
 def test_a_library_that_aborts_when_python_ends_makes_no_failure_of_an_upload(tmp_path: Path) -> None:
-    """As obstore does now and then, on a busy machine more often."""
+    """As obstore does sometimes on a busy machine."""
     logs, store = tmp_path / "logs", tmp_path / "store"
     saved(logs / LOG, own_log([gears(0, 3, 0)]))
     aborts = "import atexit, os, runpy; atexit.register(os.abort); runpy.run_module('gateway', None, '__main__')"
@@ -51,7 +50,6 @@ def test_a_library_that_aborts_when_python_ends_makes_no_failure_of_an_upload(tm
 
 
 def test_it_ends_in_the_middle_when_it_is_told_to(tmp_path: Path) -> None:
-    """Without waiting for a log that takes an hour, and says what waits."""
     logs, store = tmp_path / "logs", tmp_path / "store"
     saved(logs / LOG, own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(2_000_000))]))
     with subprocess.Popen(words(logs, store, 100, "--json"), stdout=subprocess.PIPE, text=True) as process:

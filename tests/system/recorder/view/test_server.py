@@ -41,7 +41,7 @@ def resident_bytes() -> int:
 
 
 def test_a_viewer_that_reads_nothing_holds_up_nobody(server: ViewServer) -> None:
-    """Of 200 MB it gets what its ring holds; memory does not grow with it, and another one sees the newest."""
+    """Of 200 MB it gets the content of its ring; memory does not grow, and another viewer sees the newest."""
     with FoxgloveClient(server.where) as stalled, FoxgloveClient(server.where) as viewer:
         for one in (stalled, viewer):
             one.wait(lambda client: bool(client.channels)).subscribe()
@@ -56,7 +56,6 @@ def test_a_viewer_that_reads_nothing_holds_up_nobody(server: ViewServer) -> None
 
 
 def test_a_port_that_is_taken_is_one_line(server: ViewServer) -> None:
-    """With the address."""
     port = int(server.where.rpartition(":")[2])
     with pytest.raises(CommandError, match=rf"cannot listen on 127\.0\.0\.1:{port}: .*in use") as error:
         ViewServer("bench", "127.0.0.1", port)
@@ -65,7 +64,7 @@ def test_a_port_that_is_taken_is_one_line(server: ViewServer) -> None:
 
 
 def certified(directory: Path, name: str) -> tuple[Path, Path]:
-    """A self-signed certificate of 127.0.0.1, and its key in the form that OpenSSL used to write."""
+    """A self-signed certificate of 127.0.0.1, and its key in OpenSSL's old form."""
     key = ec.generate_private_key(ec.SECP256R1())
     named = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     now = dt.datetime.now(dt.UTC)
@@ -89,7 +88,6 @@ def certified(directory: Path, name: str) -> tuple[Path, Path]:
 
 
 def test_with_a_certificate_it_speaks_tls_alone(tmp_path: Path) -> None:
-    """As browsers want it from another machine."""
     files = certified(tmp_path, "desk")
     with ViewServer("bench", "127.0.0.1", 0, files) as server:
         assert server.where.startswith("wss://127.0.0.1:")
@@ -100,7 +98,6 @@ def test_with_a_certificate_it_speaks_tls_alone(tmp_path: Path) -> None:
 
 
 def test_files_that_are_no_certificate_with_its_key_are_named(tmp_path: Path) -> None:
-    """Missing, swapped, and of another."""
     chain, key = certified(tmp_path, "one")
     _, other = certified(tmp_path, "two")
     for files in ((tmp_path / "no.pem", key), (key, chain), (chain, other)):

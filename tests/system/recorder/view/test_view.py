@@ -1,4 +1,4 @@
-"""``cruiser view`` with real robots, and a viewer on it. The oracle is a log of the same time."""
+"""``cruiser view`` with real robots and a viewer. The oracle is a log of the same time."""
 
 import json
 import signal
@@ -36,8 +36,6 @@ STATE, DECISION, EVENT = key_of(RobotState), key_of(Decision), key_of(SafetyEven
 
 
 class Scene(NamedTuple):
-    """A robot, and where it and its view are."""
-
     endpoint: str
     url: str
     gateway: Running
@@ -46,7 +44,6 @@ class Scene(NamedTuple):
 
 @pytest.fixture
 def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    """A gateway on a virtual chassis, and a view of it."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     endpoint = free_endpoint()
     with ExitStack() as stack:
@@ -58,7 +55,6 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
 
 
 def stop(scene: Scene) -> None:
-    """The remote stop, which makes an event and a decision."""
     assert run(["stop", "cruiser-1", "--connect", scene.endpoint]).returncode in {ExitCode.OK, ExitCode.PARTIAL}
 
 
@@ -67,7 +63,7 @@ def state_of(data: bytes) -> Any:  # noqa: ANN401 - protobuf makes the class at 
 
 
 def test_what_is_shown_is_what_is_in_a_log_of_the_time(scene: Scene, tmp_path: Path) -> None:
-    """Topics, schemas and encodings are equal, each record is in the log byte by byte, and values decode."""
+    """Topics, schemas and encodings are equal, and each record is in the log byte by byte."""
     words = ("-k", "fleet/cruiser-1/**", "-o", str(tmp_path / "logs"), "--connect", scene.endpoint)
     with recording(*words) as recorder, FoxgloveClient(scene.url) as viewer:
         viewer.subscribe()
@@ -107,7 +103,7 @@ def test_what_is_shown_is_what_is_in_a_log_of_the_time(scene: Scene, tmp_path: P
 
 
 def test_what_a_viewer_sends_reaches_no_robot(scene: Scene) -> None:
-    """It is refused in words, nothing is put on Zenoh, and no decision is made, until somebody really commands."""
+    """No put, no decision."""
     config = zenoh.Config()
     for path, value in (("mode", "client"), ("connect/endpoints", [scene.endpoint])):
         config.insert_json5(path, json.dumps(value))
@@ -143,7 +139,6 @@ def test_what_a_viewer_sends_reaches_no_robot(scene: Scene) -> None:
 
 
 def test_a_robot_that_falls_silent_is_not_shown_as_current(scene: Scene) -> None:
-    """Viewers keep the last value on their plots: they get a warning, and lose it when the robot is back."""
     with FoxgloveClient(scene.url) as viewer:
         scene.gateway.process.send_signal(signal.SIGSTOP)
         viewer.wait(lambda one: bool(one.said))
@@ -155,7 +150,6 @@ def test_a_robot_that_falls_silent_is_not_shown_as_current(scene: Scene) -> None
 
 
 def test_it_ends_at_a_signal_and_leaves_the_layouts(scene: Scene, tmp_path: Path) -> None:
-    """Of the robot and its bus, as a log has them attached."""
     layout = tmp_path / "layouts" / "cruiser-1.layout.foxglove.json"
     wait_until(layout.exists)
     assert b"fleet/cruiser-1/can/can0/rx" in layout.read_bytes()
@@ -168,7 +162,6 @@ def settings(endpoint: str) -> Settings:
 
 
 def test_a_robot_that_is_not_there_is_named() -> None:
-    """One line that says which, where, and who knows more; without any node it says that."""
     endpoint = free_endpoint()
     words = ("cruiser-9", *LISTEN, "--timeout", "1")
     with pytest.raises(CommandError, match=f"no Zenoh node answered within 1 s at {endpoint}"):
@@ -181,14 +174,12 @@ def test_a_robot_that_is_not_there_is_named() -> None:
 
 
 def test_beyond_this_machine_it_wants_a_certificate() -> None:
-    """Before it listens anywhere."""
     with pytest.raises(CommandError, match=r"beyond this machine \(0\.0\.0\.0\) viewers need TLS") as error:
         run_command(view, "--listen", "0.0.0.0:0")
     assert error.value.code is ExitCode.USAGE
 
 
 def test_without_its_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The product does not need it otherwise."""
     for name in [name for name in sys.modules if name.startswith(("foxglove", "recorder.view"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "foxglove", None)
@@ -197,7 +188,6 @@ def test_without_its_package_it_says_what_to_install(monkeypatch: pytest.MonkeyP
 
 
 def test_a_viewers_certificate_suffices(tmp_path: Path) -> None:
-    """Through a router with access by role: it sees a robot, and the robot says who it is."""
     network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
     file = network.node(TransportRole.VIEWER, "ann") / "viewer.json5"

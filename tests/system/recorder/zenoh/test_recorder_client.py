@@ -1,4 +1,4 @@
-"""Asking recorders, on a real Zenoh on the loopback."""
+"""Requests to recorders, on a real Zenoh on the loopback."""
 
 from collections.abc import Iterator
 from contextlib import closing
@@ -17,8 +17,6 @@ ANSWER_S = 0.5
 
 
 class Both:
-    """A peer that recorders answer on, and a client of it."""
-
     def __init__(self, peer: Peer, client: RecorderClient) -> None:
         self.peer = peer
         self.client = client
@@ -30,7 +28,6 @@ class Both:
         return sorted(name for name, _ in self.ask())
 
     def names_heard_after(self, asked: list[str]) -> set[str]:
-        """All who answer until somebody else was asked, and a recorder once more: replies may be dropped."""
         heard: set[str] = set()
 
         def hear() -> bool:
@@ -44,7 +41,6 @@ class Both:
 
 @pytest.fixture
 def both() -> Iterator[Both]:
-    """A peer, and a client that is about to find it."""
     endpoint = free_endpoint()
     with (
         Peer(endpoint) as peer,
@@ -61,13 +57,11 @@ def both() -> Iterator[Both]:
     ],
 )
 def test_who_is_not_called_as_a_recorder_or_talks_like_none_is_none(both: Both, name: str, payload: bytes) -> None:
-    """Anybody can answer on the network; such a name rules no terminal. The others are heard all the same."""
     with answering(both.peer, name, payload, payload) as asked, answering(both.peer, "depot", a_reply()):
         assert both.names_heard_after(asked) == {"depot"}
 
 
 def test_a_time_longer_than_zenoh_knows_is_a_long_time(both: Both) -> None:
-    """It is no fault of ours."""
     with answering(both.peer, "depot", a_reply()):
         wait_until(lambda: both.names() == ["depot"])
         assert [name for name, _ in both.client.ask("depot", "status", Status(), 1e300)] == ["depot"]

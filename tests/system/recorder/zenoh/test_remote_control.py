@@ -35,8 +35,6 @@ def settings(endpoint: str, name: str = "bench") -> Settings:
 
 
 class Client:
-    """Somebody who asks, with a session of their own."""
-
     def __init__(self, endpoint: str) -> None:
         self._session = join(ZenohSettings(connect=[endpoint]))
         self._waiting: list[Any] = []
@@ -47,7 +45,6 @@ class Client:
         payload: bytes | None = b"",
         encoding: str | None = None,
     ) -> Any:  # noqa: ANN401 - Zenoh's own handler
-        """Send a query; its replies come by the handler that is returned."""
         return self._session.get(
             key,
             zenoh.handlers.FifoChannel(16),
@@ -69,8 +66,6 @@ class Client:
 
 
 class Pair:
-    """A recorder's control and a client that have found each other."""
-
     def __init__(self, control: RemoteControl, client: Client) -> None:
         self.control = control
         self.client = client
@@ -81,7 +76,6 @@ class Pair:
         return f"fleet/@recorder/{recorder}/@cmd/{operator}/{verb}"
 
     def take(self, verb: str, payload: bytes | None = b"", operator: str = "operator-1") -> list[OperatorRequest]:
-        """Send a request; what comes in of it, or of those before it."""
         self.client.ask(self.key(verb, operator), payload)
         return list(self.control.drain())
 
@@ -94,7 +88,6 @@ class Pair:
         return self.asked.pop(0)
 
     def settle(self) -> None:
-        """Forget the requests by which the two have found each other."""
         self.client.ask(self.key("mark", "last"))
         while self.next().operator != "last":
             pass
@@ -103,7 +96,6 @@ class Pair:
 
 @pytest.fixture(autouse=True)
 def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most recorders here have no namesake."""
     monkeypatch.setattr(remote_control, "NAMESAKES_S", 0.01)
 
 
@@ -147,7 +139,6 @@ STATUS, MARK = (RECORDER_BY_VERB[verb].encoding for verb in ("status", "mark"))
 def test_a_request_comes_in_with_who_asks(
     pair: Pair, verb: str, payload: bytes | None, encoding: str | None, request_: Request | str
 ) -> None:
-    """Typed, as the table of verbs has it."""
     pair.client.ask(pair.key(verb), payload, encoding)
     asked = pair.next()
     assert asked.operator == "operator-1"
@@ -170,7 +161,6 @@ def test_a_request_comes_in_with_who_asks(
     ],
 )
 def test_what_has_no_verb_or_no_operator_is_not_answered(pair: Pair, key: str) -> None:
-    """Its query ends at once, without a reply."""
     replies = pair.client.ask(key)
     pair.client.ask(pair.key("mark", "after"))
     assert pair.next().operator == "after"
@@ -180,7 +170,6 @@ def test_what_has_no_verb_or_no_operator_is_not_answered(pair: Pair, key: str) -
 @pytest.mark.parametrize("recorder", ["*", "be*", "**"])
 @pytest.mark.parametrize("verb", [verb for verb in RECORDER_BY_VERB if verb != "status"])
 def test_one_query_does_not_mark_every_recorder(pair: Pair, verb: str, recorder: str) -> None:
-    """Only ``status`` may be asked of all."""
     pattern = recorder.replace("be*", "be$*")
     pair.client.ask(pair.key(verb, recorder=pattern), msgspec.msgpack.encode({}))
     asked = pair.next()
@@ -190,7 +179,7 @@ def test_one_query_does_not_mark_every_recorder(pair: Pair, verb: str, recorder:
 
 
 class HungQuery:
-    """A query of somebody who does not read: a reply waits until the test lets it go."""
+    """A query whose reply blocks until the test releases it."""
 
     payload = attachment = encoding = None
 
@@ -208,7 +197,7 @@ class HungQuery:
 
 
 def test_who_does_not_read_holds_up_no_loop(pair: Pair) -> None:
-    """The reply waits on a thread of its own, and what is said after it comes after it."""
+    """The reply waits on another thread."""
     query: Any = HungQuery(pair.key("status"))
     asked = pair.control._asked(query)
     assert asked is not None
@@ -227,7 +216,6 @@ def is_over(replies: Any) -> bool:  # noqa: ANN401 - Zenoh's own handler
 
 
 def test_of_too_many_requests_the_oldest_go(pair: Pair) -> None:
-    """What waits is bounded, and so is what one pass of the loop takes."""
     count = 2 * remote_control.QUERIES_WAITING
     replies = [pair.client.ask(pair.key("status", f"op-{number}")) for number in range(count)]
     pair.client.ask(pair.key("mark", "last"))
@@ -248,7 +236,6 @@ def test_of_too_many_requests_the_oldest_go(pair: Pair) -> None:
 def test_recorders_of_one_name_are_told_apart(
     endpoint: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The later one has a number, and says so; when the first has gone, its name is free again."""
     # Links take longer on a busy machine.
     monkeypatch.setattr(remote_control, "NAMESAKES_S", 3.0)
     with ExitStack() as stack:

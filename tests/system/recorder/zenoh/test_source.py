@@ -31,14 +31,11 @@ class Inbox:
         self.samples: list[ReceivedSample] = []
 
     def holds(self, key: str) -> bool:
-        """Take what there is; is a sample of this key among all so far?"""
         self.samples += self._origin.drain(1000)
         return any(sample.key == key for sample in self.samples)
 
 
 def put_until(peer: Peer, sample: ReceivedSample, inbox: Inbox) -> None:
-    """Publish until it comes in: the link takes its time."""
-
     def condition() -> bool:
         peer.put(sample)
         return inbox.holds(sample.key)
@@ -54,7 +51,6 @@ def linked(endpoint: str) -> Iterator[tuple[Peer, ZenohSource]]:
 
 
 def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> None:
-    """Key, encoding with its schema, payload, attachment, and Zenoh's own time. A deletion is a sample too."""
     peer, origin = linked
     inbox = Inbox(origin)
     before_ns = time.time_ns()
@@ -71,7 +67,6 @@ def test_a_sample_arrives_as_it_was_sent(linked: tuple[Peer, ZenohSource]) -> No
 
 
 def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
-    """Everything under the root is, but no wildcard reaches a command; what was decided on it is a sample too."""
     peer, origin = linked
     inbox = Inbox(origin)
     requests = {keys.command("fleet", "cruiser-1", "first", verb) for verb in BY_VERB}
@@ -83,7 +78,6 @@ def test_requests_are_not_recorded(linked: tuple[Peer, ZenohSource]) -> None:
 
 
 def test_a_query_is_answered_among_the_samples(linked: tuple[Peer, ZenohSource]) -> None:
-    """And is over when the answer is there."""
     peer, origin = linked
     reply = sample_of(info())
     peer.answer(reply)
@@ -102,7 +96,6 @@ def test_a_query_is_answered_among_the_samples(linked: tuple[Peer, ZenohSource])
 
 
 def test_a_query_without_an_answer_ends_by_itself(linked: tuple[Peer, ZenohSource]) -> None:
-    """Nobody waits for ever, and there are never too many on their way."""
     _, origin = linked
     for number in range(2 * zenoh_source.PENDING_MAX):
         origin.ask(f"fleet/r{number}/gateway/info")
@@ -113,7 +106,6 @@ def test_a_query_without_an_answer_ends_by_itself(linked: tuple[Peer, ZenohSourc
 
 
 def test_a_key_that_several_expressions_match_is_received_once(endpoint: str) -> None:
-    """Whether one includes the other or they only cross."""
     expressions = ("fleet/a/*", "fleet/*/x", "fleet/a/x", "other/**", "other/deep/**")
     with Peer(endpoint) as peer, closing(source(endpoint, *expressions)) as origin:
         keys = ["fleet/a/x", "fleet/a/y", "fleet/b/x", "other/deep/z"]
@@ -128,7 +120,6 @@ def test_a_key_that_several_expressions_match_is_received_once(endpoint: str) ->
 
 
 def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which expression a key belongs to is found again as often as it takes."""
     monkeypatch.setattr(zenoh_source, "OWNED_KEY_LIMIT", 10)
     with closing(source(endpoint, "fleet/a/*", "fleet/*/x")) as origin:
         for number in range(100):
@@ -138,7 +129,6 @@ def test_ever_new_keys_are_not_remembered_without_end(endpoint: str, monkeypatch
 
 
 def test_samples_of_declared_keys_come_once_and_those_of_others_too(linked: tuple[Peer, ZenohSource]) -> None:
-    """Whether Zenoh knows a key or not: there are more keys than it is told of."""
     peer, origin = linked
     origin._declared = DeclaredKeys(origin._session.declare_publisher, 3)
     names = [f"fleet/r{number}/state" for number in range(10)]
@@ -152,7 +142,6 @@ def test_samples_of_declared_keys_come_once_and_those_of_others_too(linked: tupl
 
 
 def test_a_client_without_a_router_is_told_so(endpoint: str) -> None:
-    """A client cannot wait: it is nothing by itself."""
     settings = ZenohSettings(mode="client", connect=[endpoint])
     with pytest.raises(CommandError, match="cannot open Zenoh") as caught:
         ZenohSource(settings, ["fleet/**"], 100)

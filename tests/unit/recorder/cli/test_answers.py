@@ -1,4 +1,4 @@
-"""What ``cruiser review`` answers, for people and for programs: given these logs, a command and what it says."""
+"""Answers of ``cruiser review``: given these logs, a command and its output."""
 
 import json
 import os
@@ -28,7 +28,7 @@ def log_of(*samples: ReceivedSample, wall_ns: int | None = None) -> bytes:
 
 
 def damaged(data: bytes, before: bytes, behind: int, *, is_cut: bool = False) -> bytes:
-    """A log with a flipped bit so many bytes behind these, or one that ends there."""
+    """A log with a flipped bit some bytes behind these, or one that ends there."""
     at = data.index(before) + behind
     return data[:at] if is_cut else data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
 
@@ -420,14 +420,14 @@ CASES = [
 
 
 def unseen(text: str) -> str:
-    """The text with the characters that nobody sees."""
+    """The text with its invisible characters."""
     for short, character in UNSEEN.items():
         text = text.replace(short, character)
     return text
 
 
 def holds(found: object, wanted: object) -> bool:
-    """Whether all that is wanted of an object stands in it."""
+    """True if an object contains all wanted parts."""
     if isinstance(wanted, dict):
         return isinstance(found, dict) and all(holds(found.get(key), value) for key, value in wanted.items())
     if isinstance(wanted, list):
@@ -459,7 +459,7 @@ def judge(said: str, out: str, every: str) -> None:
 def test_answers(
     row: str, source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each command of a row, in its order, ends with its code and says what stands there."""
+    """Each command of a row ends with its exit code and prints the texts given there."""
     monkeypatch.chdir(tmp_path)
     given, *_ = re.findall(r"(?:\A.* \[(.*)\]$|^logs (.*)$)", row, re.MULTILINE) or [("", "")]
     asks = re.findall(r"^(\d?)\$ (.*?)(?: => (.*))?((?:\n    .*)*)$", row, re.MULTILINE)

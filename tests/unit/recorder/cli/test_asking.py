@@ -1,4 +1,4 @@
-"""The common part of questions: names, a terminal, a stop."""
+"""The common part of questions: robots, a terminal, a stop."""
 
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -16,7 +16,6 @@ from tests.support.messages import FakeSample
 def test_a_directory_of_many_robots_is_told_of_some(
     tmp_path: Path, cut: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By their names; the total is of these, and so is the exit code. Without names it shows the first of them."""
     for number in range(1, 16):
         log = Log()
         log.receive(FakeSample(f"fleet/depot-{number}/state", "x", b""))
@@ -35,7 +34,6 @@ def test_a_directory_of_many_robots_is_told_of_some(
 
 
 def test_a_terminal_may_lack_characters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are escaped."""
     stream = BytesIO()
     monkeypatch.setattr("sys.stdout", TextIOWrapper(stream, "latin-1"))
     log = saved(
@@ -46,7 +44,6 @@ def test_a_terminal_may_lack_characters(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_whoever_is_told_to_stop_stops_reading() -> None:
-    """At the next bytes that are read."""
     asked_to = [False, True]
     with progress_bar("reading", 100, lambda: asked_to.pop(0)) as progress:
         progress(1)

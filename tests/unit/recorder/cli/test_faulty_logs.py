@@ -1,4 +1,4 @@
-"""Every question, to logs that are cut off, none, not finished yet, or made to keep a reader busy."""
+"""Every question, with logs that are truncated, foreign, unfinished, or made to keep a reader busy."""
 
 import fcntl
 import random
@@ -34,7 +34,6 @@ WRITE = {
 
 
 def bomb(chunks: int, size: int) -> bytes:
-    """A log of chunks of zeros, which take next to nothing on the disk."""
     chunk = records.Chunk(
         compression="zstd",
         data=zstandard.compress(bytes(size)),
@@ -57,7 +56,6 @@ def answered(capsys: pytest.CaptureFixture[str], question: str, path: Path) -> t
 
 @pytest.mark.parametrize("question", READERS)
 def test_what_is_no_log_is_a_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, question: str) -> None:
-    """No traceback, and nothing is written."""
     monkeypatch.chdir(tmp_path)
     for content, said in ((b"", "is empty"), (b"hello, hello", "is no MCAP file")):
         path = saved(tmp_path / "log.mcap", content)
@@ -71,7 +69,6 @@ def test_what_is_no_log_is_a_clear_line(tmp_path: Path, monkeypatch: pytest.Monk
 def test_of_several_files_the_readable_are_answered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """The others are named on stderr, and the exit code is 3."""
     monkeypatch.chdir(tmp_path)
     good = saved(tmp_path / "a.mcap", log_scenarios.recorded(log_scenarios.front_bumper))
     bad = saved(tmp_path / "b.mcap", b"hello, hello")
@@ -86,7 +83,6 @@ def test_of_several_files_the_readable_are_answered(
 def test_times_beyond_63_bits_are_said_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """MCAP allows them, and no table holds them."""
     monkeypatch.chdir(tmp_path)
     late = [(1, number, 2**63 + number, gear_message(number, 1)[3]) for number in range(3, 6)]
     path = saved(tmp_path / "late.mcap", own_log([gears(0, 3, 1000), late[:1], late[1:]]))
@@ -100,7 +96,6 @@ def test_times_beyond_63_bits_are_said_once(
 def test_a_bomb_of_zeros_is_answered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """As the damage that it is."""
     monkeypatch.chdir(tmp_path)
     path = saved(tmp_path / "bomb.mcap", bomb(3, 1 << 24))
     assert path.stat().st_size < 20_000
@@ -111,7 +106,7 @@ def test_a_bomb_of_zeros_is_answered(
 
 @pytest.mark.parametrize("promised", [0, 100, (1 << 26) - 1, (1 << 26) + 1])
 def test_a_chunk_of_lz4_is_unpacked_to_the_size_that_it_promises_and_no_further(promised: int) -> None:
-    """Else a few megabytes could fill the memory of the machine that reads them."""
+    """Else a few megabytes could fill the reader's memory."""
     packed = lz4.frame.compress(bytes(1 << 26), store_size=False)
     chunk = records.Chunk("lz4", packed, 2, 1, 0, promised)
     tracemalloc.start()
@@ -126,7 +121,7 @@ def test_a_chunk_of_lz4_is_unpacked_to_the_size_that_it_promises_and_no_further(
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_a_packed_chunk_that_promises_a_gigabyte_is_left_packed(compression: str) -> None:
-    """Even one that keeps its promise: of tiny messages it would cost a reader ten times that."""
+    """Its tiny messages would take ten times that in memory."""
     packed = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[compression](bytes(UNPACKED_MAX + 1))
     for promised in (UNPACKED_MAX + 1, RECORD_MAX):
         tracemalloc.start()
@@ -140,7 +135,6 @@ def test_a_packed_chunk_that_promises_a_gigabyte_is_left_packed(compression: str
 
 
 def test_a_chunk_of_lz4_that_is_cut_off_or_junk_is_damaged() -> None:
-    """In words; one that is whole is read."""
     packed = lz4.frame.compress(b"whole" * 100)
     assert content_of(records.Chunk("lz4", packed, 2, 1, 0, 500)) == b"whole" * 100
     for data in (b"", packed[:-4], packed[:20], b"junk" + packed):
@@ -152,7 +146,6 @@ def test_a_chunk_of_lz4_that_is_cut_off_or_junk_is_damaged() -> None:
 def test_what_takes_too_long_is_given_up(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """With a line that says so, and exit code 3. What was found before stays."""
     monkeypatch.setattr(asking, "BUDGET_S", -1.0)
     data = own_log([gears(0, 3, 10), gears(3, 3, 100)])
     path = saved(tmp_path / "slow.mcap", data[:-20])
@@ -166,7 +159,6 @@ def test_what_takes_too_long_is_given_up(
 def test_a_log_that_is_being_written_is_no_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """The recorder's lock tells. When that is gone, it is one that was left."""
     data = log_scenarios.recorded(log_scenarios.front_bumper)
     path = saved(tmp_path / "a.mcap.part", data[: len(data) * 9 // 10])
     monkeypatch.chdir(tmp_path)
@@ -188,7 +180,6 @@ def test_a_log_that_is_being_written_is_no_fault(
 def test_damage_anywhere_is_an_answer_or_one_clear_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, question: str
 ) -> None:
-    """Bytes that were changed, and a log that was cut off: never a traceback, and often an answer."""
     data = log_scenarios.recorded(log_scenarios.front_bumper)
     chance = random.Random(5)  # noqa: S311 - the same damage each time
     codes = []

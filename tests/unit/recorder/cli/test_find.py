@@ -16,7 +16,6 @@ from tests.support.drives import drive_messages, drives_over, write_messages
 
 @pytest.fixture
 def logs(tmp_path: Path) -> Path:
-    """Two robots: one that a bumper stopped, and one that it stopped on each of three days."""
     directory = tmp_path / "logs"
     directory.mkdir()
     write_messages(directory / "cruiser-1-a.mcap", drive_messages(60))
@@ -25,7 +24,6 @@ def logs(tmp_path: Path) -> Path:
 
 
 def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The commands of an answer work."""
     assert review("find", "stops", logs, "--robot=cruiser-1", "--json") == ExitCode.OK
     (answer,) = map(json.loads, capsys.readouterr().out.splitlines())
     assert (answer["robot"], answer["kind"], answer["reason"]) == ("cruiser-1", "stop", "front_bumper")
@@ -40,7 +38,6 @@ def test_json_is_an_object_a_line_that_says_how_to_go_on(logs: Path, capsys: pyt
 def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
     logs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It may be made to keep a reader busy: it is tried once, until the catalog goes."""
     slow = (logs / "cruiser-1-a.mcap").stat().st_size
     with monkeypatch.context() as patched:
         in_time = asking.in_time
@@ -61,7 +58,6 @@ def test_a_log_that_takes_too_long_is_given_up_and_keeps_no_other_out(
 
 
 def test_a_place_in_a_store_is_searched_as_a_directory_is(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its answers name the logs by their addresses, and tell how to go on there."""
     assert review("find", "stops", logs, "--reason=front_bumper", "--json") == ExitCode.OK
     here = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     (logs / CATALOG_NAME).unlink()

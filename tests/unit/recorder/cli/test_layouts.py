@@ -16,7 +16,6 @@ run = partial(review, "layouts")
 
 @pytest.fixture(autouse=True)
 def _without_rerun(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whether rerun is installed here must not matter; ``make readers`` makes blueprints."""
     monkeypatch.setitem(sys.modules, "rerun", None)
 
 
@@ -28,7 +27,6 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_layouts_of_each_robot_are_written(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The same that a recorder attaches, with the bus that the log's topics name; what is missing is told."""
     out = tmp_path / "new" / "layouts"
     assert run(log, "-o", out) == ExitCode.OK
     expected = {f"cruiser-1.{one.name}": one.data for one in layouts(RobotKeys("fleet/cruiser-1", "can0"))}

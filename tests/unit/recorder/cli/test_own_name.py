@@ -1,4 +1,4 @@
-"""The name by which a recorder goes, and the key with which it signs."""
+"""The recorder's name, and its signing key."""
 
 from __future__ import annotations
 
@@ -43,10 +43,7 @@ GRANTED, DAMAGED = "as it was granted", "{}\ned25519 00 00\n"
 def test_the_name_of_a_recorder(
     tmp_path: Path, granted: str, mode: str, grant: str | None, name: str, expected: str
 ) -> None:
-    """That of its grant, as people order it; one that is set comes first, for several may share a machine.
-
-    In open mode, with a name that is none of a key, and without a grant or with a damaged one it is the host's.
-    """
+    """The configured name, else the one of its grant in signed mode, else the host's."""
     settings = provisioned(tmp_path, granted, mode)
     if grant is None:
         (tmp_path / "recorder.grant").unlink()
@@ -58,7 +55,6 @@ def test_the_name_of_a_recorder(
 def test_a_recorder_signs_with_the_key_that_it_was_provisioned_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In signed mode. A machine without a recorder's key records unsigned, and says so with the cure."""
     settings = provisioned(tmp_path)
     assert signer_of(settings.authority) is None
     assert "'cruiser provision recorder NAME' makes it" in capsys.readouterr().err

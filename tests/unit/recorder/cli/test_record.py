@@ -1,4 +1,4 @@
-"""``cruiser record`` before it records: its flags, its name, its plan, and SIGHUP; and what it says to others."""
+"""``cruiser record`` before it records: flags, name, plan, SIGHUP; and its output."""
 
 import argparse
 import os
@@ -21,7 +21,6 @@ from tests.support.messages import recorder_health
 
 
 def test_a_reply_reads_like_a_sentence() -> None:
-    """A refusal is one; the figures of a status have their units."""
     reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
     assert describe("depot", "mark", reply) == "depot: refused: why\n  a.mcap"
     text = describe("depot", "status", reply)
@@ -30,7 +29,6 @@ def test_a_reply_reads_like_a_sentence() -> None:
 
 
 def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Without one it records; the usage of an action is the action's own."""
     parser = argparse.ArgumentParser(prog="cruiser record")
     record.add_arguments(parser)
     assert parser.format_usage().splitlines()[0] == "usage: cruiser record [options]"
@@ -51,7 +49,6 @@ def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixt
 def test_a_shard_has_patience_with_its_router_unless_a_setting_says_otherwise(
     shard: str, zenoh: ZenohSettings, lease_ms: int
 ) -> None:
-    """A router that takes in a whole fleet is busy for longer than a gateway's lease."""
     settings = record.with_shard_lease(Settings(recorder=RecorderSettings(shard=shard), zenoh=zenoh))
     assert settings.zenoh.lease_ms == lease_ms
     assert settings.zenoh.given == zenoh.given
@@ -59,7 +56,6 @@ def test_a_shard_has_patience_with_its_router_unless_a_setting_says_otherwise(
 
 @pytest.mark.parametrize(("budget", "ring"), [(0, 9000), (40_000, 9000), (20_000, 5000)])
 def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: int, ring: int) -> None:
-    """Else a single one might leave no room for the logs, for ever."""
     settings = Settings(recorder=RecorderSettings(budget_bytes=budget, incident_ring_bytes=9000))
     assert record.recorder_plan(settings, "depot", ["fleet/**"], "1").ring_bytes == ring
 
@@ -78,17 +74,15 @@ def test_an_incident_does_not_begin_with_more_than_a_part_of_the_budget(budget: 
     ],
 )
 def test_a_logs_name_begins_with_its_robot(expressions: list[str], name: str) -> None:
-    """If the key expressions can match but one robot; else it is the fleet's."""
     assert record.log_name("fleet", expressions) == name
 
 
 class ReachedError(Exception):
-    """The recorder has come so far."""
+    """Start-up has reached this point."""
 
 
 @pytest.fixture
 def hangup() -> Iterator[None]:
-    """SIGHUP ends the process, until somebody takes it."""
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
     signal.signal(signal.SIGHUP, before)
@@ -96,7 +90,7 @@ def hangup() -> Iterator[None]:
 
 @pytest.mark.usefixtures("hangup")
 def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is taken before anything is opened, and before the rest of the program is even there."""
+    """SIGHUP is handled before anything is opened or imported."""
 
     def connect(*_: object) -> None:
         assert callable(signal.getsignal(signal.SIGHUP))
@@ -116,7 +110,7 @@ def test_a_hangup_ends_no_recorder_that_is_only_beginning(monkeypatch: pytest.Mo
 @pytest.mark.usefixtures("hangup")
 @pytest.mark.parametrize("before", [signal.SIG_DFL, signal.SIG_IGN])
 def test_a_hangup_ends_who_only_asks_a_recorder(monkeypatch: pytest.MonkeyPatch, before: signal.Handlers) -> None:
-    """As it ends any other command, unless nohup began it."""
+    """As any other command, except under nohup."""
     signal.signal(signal.SIGHUP, before)
     found: list[object] = []
 
@@ -133,7 +127,7 @@ def test_a_hangup_ends_who_only_asks_a_recorder(monkeypatch: pytest.MonkeyPatch,
 def test_that_a_file_is_not_whole_is_no_success(
     capsys: pytest.CaptureFixture[str], unfinished: int, code: ExitCode
 ) -> None:
-    """Though nothing of it is lost: somebody has to recover it."""
+    """Nothing is lost, but the file needs recovery."""
     keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
     recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
     assert record._report(recorded, as_json=False) == code
@@ -141,7 +135,6 @@ def test_that_a_file_is_not_whole_is_no_success(
 
 
 def test_why_there_is_no_log_is_said() -> None:
-    """Where samples came, it is not the robot that was silent."""
     said = {0: "no sample came", 5: "the disk took no log; 5 messages are lost"}
     for received, code in ((0, ExitCode.UNREACHABLE), (5, ExitCode.FAILURE)):
         keys = {"fleet/cruiser-1/key": KeyReport(received=received, lost_full=received)}

@@ -23,7 +23,6 @@ def _in_a_directory_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def ask(*words: object) -> int:
-    """The command's exit code; a fault is told as the command would."""
     try:
         return review("report", *words)
     except CommandError as error:
@@ -33,14 +32,12 @@ def ask(*words: object) -> int:
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
-    """A drive."""
     return write_messages(tmp_path / "a.mcap", drive_messages(60))
 
 
 def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The command works as it stands, and its report is of this drive alone."""
     monkeypatch.setattr(account, "DRAWN_MAX", 1)
     write_messages(tmp_path / "a b.mcap", drives_over(3, 3), robots=["r-1"])
     assert ask("a b.mcap", "--json") == ExitCode.OK
@@ -59,7 +56,6 @@ def test_a_drive_that_is_not_drawn_has_a_command_that_draws_it(
 
 
 def test_each_stop_has_its_reason_as_why_words_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every sentence of the command's answer is on the page."""
     (tmp_path / "a.mcap").write_bytes(recorded(scenarios.front_bumper))
     assert ask(tmp_path / "a.mcap", "-o", "r.html") == ExitCode.OK
     html = (tmp_path / "r.html").read_text()

@@ -76,7 +76,6 @@ RECORDED = "recorded: 4.03 m in 5.10 s, at most 1.00 m/s, 1 stops"
 def test_a_run_and_what_it_would_have_been_is_some_lines(
     log: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], said: tuple[str, ...]
 ) -> None:
-    """What was compared; with other settings what would have been different, and where, in three."""
     assert run(log, *words) == ExitCode.OK
     out = capsys.readouterr().out
     assert [one for one in said if one not in out] == []
@@ -86,7 +85,6 @@ def test_a_run_and_what_it_would_have_been_is_some_lines(
 def test_of_several_logs_it_says_how_many_decide_otherwise(
     day: Day, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And which is the first, and when; with other settings too."""
     other = tmp_path / "cruiser-2-20260102T030405Z.mcap"
     other.write_bytes(day.rig.log(robot="cruiser-2", journal=under_rules_1))
     for words, first in (((), other), (("--set", "command.speed_limit_mps=0.4", "--processes", "2"), log)):
@@ -96,7 +94,6 @@ def test_of_several_logs_it_says_how_many_decide_otherwise(
 
 
 def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What it does not say has its start value; --set is above it."""
     file = tmp_path / "other.toml"
     file.write_text("[command]\nspeed_limit_mps = 0.6\n")
     assert run(log.parent, "--with", file, "--set", "command.lease_s=1.0", "--json") == ExitCode.OK
@@ -124,7 +121,6 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
 def test_a_wrong_setting_is_one_clear_error(
     log: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before a long log is read, and with exit code 2."""
     with pytest.raises((CommandError, SystemExit)) as raised:
         run(log, *words)
     assert getattr(raised.value, "code", None) == ExitCode.USAGE
@@ -136,7 +132,6 @@ def test_a_wrong_setting_is_one_clear_error(
 def test_a_run_under_other_rules_says_so_first_and_is_exit_code_1(
     day: Day, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What has changed, above all differences; with other settings too."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     path.write_bytes(day.rig.log(journal=under_rules_1))
     assert run(path) == ExitCode.FAILURE

@@ -1,4 +1,4 @@
-"""A router denies in silence: what a role may not do is said before it is tried."""
+"""Roles of certificates: a router denies silently, so the command checks first."""
 
 from pathlib import Path
 
@@ -31,7 +31,6 @@ def refused(one: ZenohSettings, roles: frozenset[str]) -> bool:
 
 
 def test_a_refusal_names_the_certificate(network: Network) -> None:
-    """In one line, as wrong usage."""
     one = settings(network, TransportRole.VIEWER)
     file = Path(one.config).with_name("viewer-tls.pem")
     with pytest.raises(CommandError) as caught:
@@ -41,7 +40,6 @@ def test_a_refusal_names_the_certificate(network: Network) -> None:
 
 
 def test_each_role_does_what_routers_let_it(network: Network) -> None:
-    """As the table of access says: a recorder records, an operator or a desk orders, a viewer does neither."""
     roles = {role: settings(network, role) for role in TransportRole if role is not TransportRole.NOTHING}
     lets = {
         role.value: [not refused(one, allowed) for allowed in (RECORDING, ORDERING)] for role, one in roles.items()
@@ -57,7 +55,7 @@ def test_each_role_does_what_routers_let_it(network: Network) -> None:
 
 
 def test_an_operator_records_single_subjects_alone(network: Network) -> None:
-    """Under '**' nothing would come, and nothing would say so."""
+    """With '**' the router would silently deliver nothing."""
     operator = settings(network, TransportRole.OPERATOR)
     with pytest.raises(CommandError, match="'cruiser provision recorder NAME' makes the keys of one, or -k names"):
         check_recording(operator, ALL)
@@ -66,7 +64,6 @@ def test_an_operator_records_single_subjects_alone(network: Network) -> None:
 
 
 def test_of_other_certificates_and_of_none_nothing_is_said(network: Network, tmp_path: Path) -> None:
-    """Somebody else's network has its own roles; a damaged file is named where it is used."""
     one = settings(network, TransportRole.VIEWER)
     certificate = Path(one.config).with_name("viewer-tls.pem")
     for content in (network.certificate, "damaged"):

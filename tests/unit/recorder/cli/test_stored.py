@@ -1,4 +1,4 @@
-"""``cruiser review`` on addresses in object stores, as on files."""
+"""``cruiser review`` with addresses in object stores."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,6 @@ def log() -> bytes:
 
 @pytest.fixture
 def bucket(monkeypatch: pytest.MonkeyPatch, log: bytes) -> FakeObjects:
-    """What every place of every store holds: a log, and what an upload puts beside it."""
     objects = FakeObjects()
     objects.objects = {NAME: log, f"{NAME}.json": b"{}"}
 
@@ -47,7 +46,6 @@ def bucket(monkeypatch: pytest.MonkeyPatch, log: bytes) -> FakeObjects:
 def test_the_answer_of_a_store_is_that_of_the_file(
     tmp_path: Path, log: bytes, capsys: pytest.CaptureFixture[str], question: str
 ) -> None:
-    """By the library, from a directory: a log by its address, and all below a place."""
     path = saved(tmp_path / NAME, log)
     said = []
     for place in (path, f"file://{path}", f"file://{tmp_path}"):
@@ -61,7 +59,6 @@ def test_the_answer_of_a_store_is_that_of_the_file(
 def test_logs_here_and_there_are_asked_together(
     tmp_path: Path, log: bytes, bucket: FakeObjects, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What both hold is told once."""
     path = saved(tmp_path / "a.mcap", log)
     assert review("events", path, "--json") == ExitCode.OK
     here = capsys.readouterr().out
@@ -94,7 +91,6 @@ def gone(objects: FakeObjects) -> None:
 def test_what_is_not_there_is_said_in_a_line(
     bucket: FakeObjects, state: Callable[[FakeObjects], None] | None, place: str, line: str, code: ExitCode
 ) -> None:
-    """With what to do, or the store's own words."""
     if state:
         state(bucket)
     with pytest.raises(CommandError, match=line) as raised:
@@ -105,7 +101,6 @@ def test_what_is_not_there_is_said_in_a_line(
 def test_one_log_that_cannot_be_read_is_named_and_the_others_are_read(
     bucket: FakeObjects, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Refused, empty, no log at all, of a list of long ago; and other people's logs hold no events."""
     bucket.objects |= {"b.mcap": b"", "c.mcap": b"no log" * 20, "d.mcap": foreign_log()}
     bucket.old_names = [*[ListedObject(name, 1) for name in bucket.objects], ListedObject("gone.mcap", 5)]
     assert review("events", "s3://logs", "--kind", "stop", "--json") == ExitCode.PARTIAL
@@ -122,7 +117,6 @@ def test_one_log_that_cannot_be_read_is_named_and_the_others_are_read(
 def test_a_store_that_fails_in_the_middle_is_said_in_a_line(
     bucket: FakeObjects, capsys: pytest.CaptureFixture[str], trouble: str
 ) -> None:
-    """Nothing is made of two contents of a log; what was fetched is not fetched again."""
     honest = bucket.read
 
     def read(name: str, start: int, end: int, e_tag: str) -> bytes:
@@ -146,7 +140,6 @@ def test_a_store_that_fails_in_the_middle_is_said_in_a_line(
 
 
 def test_options_are_those_of_a_store_of_the_same_kind() -> None:
-    """An endpoint of S3 is none of Google's; plain HTTP has to be allowed for each."""
     options: dict[str, str | int | float | bool] = {"endpoint": "http://127.0.0.1:9", "allow_http": True}
     upload = UploadSettings(store="s3://logs", options=options)
     assert stored.options_of(StoreAddress("s3://other"), upload) == options

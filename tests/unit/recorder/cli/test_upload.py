@@ -20,11 +20,7 @@ LOG = "cruiser-1-20270115T080000Z.mcap"
 
 @pytest.fixture(autouse=True)
 def _rows_without_a_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command starts none."""
-
     def row_maker(_module: str) -> Summarize:
-        """One that needs no process."""
-
         async def make(path: Path) -> bytes:
             return write_row(path, path.name, path.stat().st_mtime_ns)  # noqa: ASYNC240 - a disk of a test
 
@@ -41,7 +37,6 @@ def settings(tmp_path: Path, **upload: object) -> Settings:
 
 
 def test_once_ends_when_all_was_tried(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It says what became of the logs; 3, where one was not taken."""
     saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
     saved(tmp_path / "logs" / "b-20270115T080000Z.mcap", b"no log")
     assert run_command(command, "--once", "--json", settings=settings(tmp_path)) == ExitCode.PARTIAL
@@ -53,7 +48,6 @@ def test_once_ends_when_all_was_tried(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_it_goes_on_until_it_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What ends after its start goes, too."""
     monkeypatch.setattr(command, "LOOK_S", 0.01)
     (tmp_path / "logs").mkdir()
     is_safe = SafeLogReader(tmp_path / "logs").read
@@ -67,7 +61,6 @@ def save_once(path: Path) -> None:
 
 
 def test_a_store_that_cannot_be_written_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """4, and why; nothing is marked."""
     saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
     saved(tmp_path / "logs" / "b-20270115T080000Z.mcap", own_log([gears(0, 4, 0)]))
     saved(tmp_path / "store" / "cruiser-1", b"a file in the way")
@@ -87,7 +80,6 @@ def test_a_store_that_cannot_be_written_is_not_there(tmp_path: Path, capsys: pyt
     ],
 )
 def test_settings_that_cannot_work_are_said_at_once(tmp_path: Path, upload: dict[str, object], fault: str) -> None:
-    """Before anything is read."""
     (tmp_path / "logs").mkdir()
     with pytest.raises(CommandError, match=fault) as error:
         run_command(command, "--once", settings=settings(tmp_path, **upload))
@@ -95,13 +87,11 @@ def test_settings_that_cannot_work_are_said_at_once(tmp_path: Path, upload: dict
 
 
 def test_without_a_directory_there_is_nothing_to_upload(tmp_path: Path) -> None:
-    """It makes none: the recorder does."""
     with pytest.raises(CommandError, match="is no directory"):
         run_command(command, "--once", settings=settings(tmp_path))
 
 
 def test_without_rows_no_log_is_read_for_them(tmp_path: Path) -> None:
-    """The setting says so."""
     saved(tmp_path / "logs" / LOG, own_log([gears(0, 3, 0)]))
     assert run_command(command, "--once", settings=settings(tmp_path, catalog=False)) == ExitCode.OK
     assert not (tmp_path / "store/cruiser-1" / f"{LOG}{ROW_SUFFIX}").exists()

@@ -22,14 +22,13 @@ from tests.support.waiting import wait_until
 
 
 def log(directory: Path, start: int, size: int = 1000, kind: str = "", suffix: str = ".mcap") -> str:
-    """A log of the recorder's; the greater its start, the younger. Returns its name."""
     name = f"cruiser-1-20270115T{start:06}Z{kind}{suffix}"
     (directory / name).write_bytes(bytes(size))
     return name
 
 
 class Keeper(DiskKeeper):
-    """A keeper that looks when it is told to, and not on a thread of its own."""
+    """A keeper without a thread: the test calls its looks."""
 
     def _run(self) -> None:
         """Leave it to the test."""
@@ -63,7 +62,6 @@ ROLL = DiskRoom(has_room=True, has_incident_room=True, roll=True)
 def test_the_names_that_a_recorder_gives_are_its_own(
     tmp_path: Path, name: str, started: str, *, is_incident: bool, is_open: bool
 ) -> None:
-    """Whole, being written, or recovered; what is an incident stays one whatever became of it."""
     (tmp_path / name).write_bytes(bytes(7))
     number = 2 if "-2.mcap" in name else 1
     robot = name.removesuffix(".mcap").rpartition("-")[0] if name.startswith("a-") else "cruiser-1"
@@ -87,7 +85,6 @@ def test_the_names_that_a_recorder_gives_are_its_own(
     ],
 )
 def test_what_a_recorder_does_not_call_so_is_neither_counted_nor_deleted(tmp_path: Path, name: str) -> None:
-    """Whatever else is in the directory is somebody's."""
     (tmp_path / name).write_bytes(bytes(5000))
     assert read_entries(tmp_path) == []
     assert Keeper(tmp_path, DiskLimits(budget_bytes=1000)).look() == []
@@ -95,7 +92,6 @@ def test_what_a_recorder_does_not_call_so_is_neither_counted_nor_deleted(tmp_pat
 
 
 def test_the_oldest_logs_go_for_the_budget(tmp_path: Path) -> None:
-    """As few as it takes, each is told; incidents and what is being written never go."""
     incident = log(tmp_path, 1, kind=".incident")
     part = log(tmp_path, 2, suffix=".mcap.part")
     first, second, third = (log(tmp_path, start) for start in (3, 4, 5))
@@ -110,7 +106,7 @@ def test_the_oldest_logs_go_for_the_budget(tmp_path: Path) -> None:
 
 
 def test_the_floor_is_a_tenth_of_a_small_disk_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stick of 1 GB can be recorded on although the floor in force is larger than it. Each change is told."""
+    """A stick of 1 GB can be used, although the configured floor is larger."""
 
     class Stick:
         f_frsize, f_blocks, f_bavail = 4096, 250_000, 26_000
@@ -127,7 +123,6 @@ def test_the_floor_is_a_tenth_of_a_small_disk_at_most(tmp_path: Path, monkeypatc
 
 
 def test_what_is_being_written_is_ended_so_that_it_may_go(tmp_path: Path) -> None:
-    """It is asked for again as long as that is so."""
     part = log(tmp_path, 2, 500_000, suffix=".mcap.part")
     keeper = Keeper(tmp_path, DiskLimits(budget_bytes=400_000), lambda: {part})
     assert [keeper.look(), keeper.look()] == [[ROLL], [ROLL]]
@@ -139,7 +134,6 @@ def test_what_is_being_written_is_ended_so_that_it_may_go(tmp_path: Path) -> Non
 def test_a_log_that_cannot_be_deleted_counts_and_others_go_in_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It is tried again later, and warned of but once. When all are held recording stops."""
     names = [log(tmp_path, start) for start in (1, 2, 3)]
     held, unlink = {names[0]}, Path.unlink
 
@@ -164,7 +158,6 @@ def test_a_log_that_cannot_be_deleted_counts_and_others_go_in_its_place(
 def test_a_log_that_somebody_else_deletes_is_none_of_ours(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Between the look and the deletion: nothing is told, and it is no fault."""
     log(tmp_path, 1, 5000)
     monkeypatch.setattr(Path, "unlink", failing(errno.ENOENT))
     assert Keeper(tmp_path, DiskLimits(budget_bytes=1000)).look() == []
@@ -172,7 +165,6 @@ def test_a_log_that_somebody_else_deletes_is_none_of_ours(
 
 
 def test_a_directory_that_vanishes_ends_no_looking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever writes there tells of it; when it is there again, its limits hold."""
     monkeypatch.setattr(disk_keeper, "LOOK_S", 0.01)
     directory = tmp_path / "logs"
     with closing(DiskKeeper(directory, DiskLimits(budget_bytes=1000))) as keeper:
@@ -195,7 +187,6 @@ def test_a_directory_that_vanishes_ends_no_looking(tmp_path: Path, monkeypatch: 
 def test_that_the_directory_was_moved_is_told_and_what_is_written_in_it_ended(
     tmp_path: Path, *, is_written: bool, is_made_again: bool, is_there: bool, said: list[type[Notice]]
 ) -> None:
-    """Once: what comes next is begun where it belongs. To make room in the new one nothing is asked for."""
     directory = tmp_path / "logs"
     directory.mkdir()
     part = log(directory, 1, suffix=".mcap.part")
@@ -216,7 +207,6 @@ def test_that_the_directory_was_moved_is_told_and_what_is_written_in_it_ended(
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A network file system may hang for ever."""
     asked, goes_on = threading.Event(), threading.Event()
 
     def hang(_directory: Path, _own: Collection[str], _safe: SafeLogs) -> list[LogEntry]:
@@ -242,7 +232,6 @@ def mark(directory: Path, name: str, size: int, data: bytes = bytes(1000)) -> No
 
 
 def test_what_an_upload_has_marked_goes_first(tmp_path: Path) -> None:
-    """An incident, too; and a mark for a file that was changed since counts for nothing."""
     old, changed, incident = log(tmp_path, 80000), log(tmp_path, 80001), log(tmp_path, 80002, kind=".incident")
     mark(tmp_path, changed, 999)
     mark(tmp_path, incident, 1000)
@@ -253,7 +242,7 @@ def test_what_an_upload_has_marked_goes_first(tmp_path: Path) -> None:
 def test_a_mark_counts_for_what_the_recorder_has_seen_itself(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A log of other bytes stays, whatever is said of it, and then nothing else is believed that is said."""
+    """A log with other bytes stays, and the note is not trusted any more."""
     incident, old, safe = log(tmp_path, 80000, kind=".incident"), log(tmp_path, 80001), log(tmp_path, 80002)
     mark(tmp_path, incident, 1000, b"of somebody who has not read it")
     mark(tmp_path, safe, 1000)

@@ -1,4 +1,4 @@
-"""Logs that their recorder could not finish."""
+"""Recovery of unfinished logs."""
 
 import errno
 import logging
@@ -64,7 +64,6 @@ DAMAGED = flipped(LOG)[:SUMMARY]
 def test_a_part_is_made_whole(
     tmp_path: Path, data: bytes, said: tuple[str, int, int, int], kept: dict[str, bytes]
 ) -> None:
-    """In place, unless it is damaged; nothing of value is deleted, and nothing else is left."""
     path, log = part(tmp_path, data), tmp_path / "x.mcap"
     inode = path.stat().st_ino
     one = recover(path, "test")
@@ -78,7 +77,6 @@ def test_a_part_is_made_whole(
 
 
 def test_a_name_that_exists_gets_a_number(tmp_path: Path) -> None:
-    """Neither a log nor a part that will be one is overwritten."""
     (tmp_path / "x.mcap").write_text("mine")
     part(tmp_path, b"another's", "x-2")
     recovery = recover(part(tmp_path, LOG), "test")
@@ -87,7 +85,6 @@ def test_a_name_that_exists_gets_a_number(tmp_path: Path) -> None:
 
 
 def test_a_part_that_somebody_writes_is_not_touched(tmp_path: Path) -> None:
-    """The lock of a living recorder tells; when it is gone, so is the lock."""
     log = LogDirectory(tmp_path).open("x", WALL_NS, "test")
     before = log.path.read_bytes()
     assert recover(log.path, "test").outcome is RecoveryOutcome.BUSY
@@ -99,7 +96,6 @@ def test_a_part_that_somebody_writes_is_not_touched(tmp_path: Path) -> None:
 def test_a_part_that_was_renamed_before_it_was_locked_is_not_touched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its recorder has just ended it, and perhaps another one began a part of that name."""
     path = part(tmp_path, LOG[:SUMMARY])
 
     def late(descriptor: int) -> bool:
@@ -114,7 +110,6 @@ def test_a_part_that_was_renamed_before_it_was_locked_is_not_touched(
 
 
 def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
-    """By hand any log can be made whole; a damaged one makes room."""
     path = tmp_path / "log.mcap"
     path.write_bytes(LOG[:SUMMARY])
     assert recover(path, "test").result == str(path)
@@ -127,7 +122,6 @@ def test_a_log_that_is_no_part_keeps_its_name(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("data", [b"", b"\x89MC", bytes(3000), b"something else"])
 def test_a_part_without_anything_is_set_aside_at_a_start(tmp_path: Path, data: bytes) -> None:
-    """As it is, so that the next start does not try it again; by hand it is left where it is."""
     path = part(tmp_path, data)
     assert recover(path, "test").outcome is RecoveryOutcome.NOTHING
     assert logs_in(tmp_path) == ["x.mcap.part"]
@@ -143,7 +137,7 @@ def fail_late(stream: BinaryIO, kept: BinaryIO) -> None:
 
 
 def leaves(free: int) -> dict[str, Any]:
-    """A disk with so much room, on which nothing may even be begun."""
+    """Knobs of a disk with this much space, on which nothing can be created."""
     usage = SimpleNamespace(free=free)
     return {"shutil.disk_usage": lambda _: usage, "copy_good": failing(errno.EIO), "_end_with": failing(errno.EIO)}
 
@@ -165,7 +159,6 @@ NO_ROOM = os.strerror(errno.ENOSPC)
 def test_what_fails_leaves_the_log_as_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, knobs: dict[str, Any], data: bytes, detail: str
 ) -> None:
-    """And nothing of a copy or rest: each further try would leave one more. Later it is made whole."""
     for step, knob in knobs.items():
         monkeypatch.setattr(f"recorder.disk.keeper.{step}", knob)
     path = part(tmp_path, data)
@@ -178,7 +171,6 @@ def test_what_fails_leaves_the_log_as_it_was(
 
 
 def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cut back to its last whole record, to be recovered when there is room."""
     write = os.pwrite
 
     def pwrite(file: int, data: bytes, offset: int) -> int:
@@ -193,7 +185,7 @@ def test_a_log_whose_end_does_not_fit_stays_a_part(tmp_path: Path, monkeypatch: 
 
 
 def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A power cut between the two leaves a part, which the next start recovers."""
+    """A power cut between leaves a part, which the next start recovers."""
     steps: list[str] = []
     fsync = os.fsync
     rename = Path.rename
@@ -213,14 +205,12 @@ def test_a_recovery_reaches_the_disk_before_the_name(tmp_path: Path, monkeypatch
 
 
 def looked(directory: Path) -> LeftoverThread:
-    """The thread of a start, when it has looked at what was left."""
     thread = LeftoverThread(directory, "test")
     thread.wait(30)
     return thread
 
 
 def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With the count of messages. Of one in which nothing is read nobody is told; no name rules a terminal."""
     (tmp_path / "whole.mcap").write_bytes(LOG)
     part(tmp_path, LOG[:SUMMARY], "a-20270115T080000Z.incident")
     part(tmp_path, DAMAGED, "b")
@@ -242,7 +232,6 @@ def test_a_start_recovers_every_part_and_says_so(tmp_path: Path, caplog: pytest.
 
 
 def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither before, nor again after that: where nothing has failed, room is no reason to look."""
     monkeypatch.setattr(keeper, "_end_with", failing(errno.ENOSPC))
     part(tmp_path, LOG[:SUMMARY])
     thread = looked(tmp_path)
@@ -267,7 +256,7 @@ def test_what_did_not_fit_is_recovered_when_there_is_room(tmp_path: Path, monkey
 
 
 def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first part has failed by then, and the second is still being read: one more look follows."""
+    """The first part has failed by then, and the second is still being read."""
     reads, goes_on = threading.Event(), threading.Event()
 
     def late(path: Path, library: str, *, set_aside: bool, signer: LogSigner | None) -> Recovery:
@@ -295,7 +284,7 @@ def test_room_that_comes_during_a_look_is_not_missed(tmp_path: Path, monkeypatch
 def test_a_part_that_begins_after_the_start_is_no_leftover(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where there are no locks too: what this recorder itself writes is not recovered under its hands."""
+    """Also without file locks."""
     part(tmp_path, LOG[:SUMMARY], "old")
     goes_on = threading.Event()
     recover_all = keeper.recover_leftovers

@@ -1,4 +1,4 @@
-"""The directory of logs, and the note of those that are safe elsewhere."""
+"""The directory of logs, and the note of uploaded ones."""
 
 import errno
 import os
@@ -55,7 +55,6 @@ def sequences(path: Path) -> list[int]:
 
 
 def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The data at each sync; data, file and name at the end."""
     synced: list[str] = []
     monkeypatch.setattr(os, "fdatasync", lambda _: synced.append("data"))
     monkeypatch.setattr(
@@ -71,7 +70,6 @@ def test_a_sync_reaches_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """Logs of one name and second, whole or not, live side by side."""
     first, second = opened(tmp_path), opened(tmp_path)
     first.write(CloseLog("x"))
     third = opened(tmp_path)
@@ -82,7 +80,6 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 @given(st.text(max_size=50))
 def test_a_name_is_safe_on_any_system(text: str) -> None:
-    """No path, no hidden file, nothing that a shell would see."""
     name = safe_name(text)
     assert name
     assert not name.startswith(".")
@@ -93,13 +90,12 @@ def test_a_name_is_safe_on_any_system(text: str) -> None:
     ("robot", "name"), [("-rf", "_rf"), ("--json", "_-json"), (".-o", "_o"), ("cruiser-1", "cruiser-1")]
 )
 def test_no_name_is_taken_for_an_option(robot: str, name: str) -> None:
-    """``cruiser review info *.mcap`` gets names that anybody on the network may have made up."""
+    """``cruiser review info *.mcap`` expands to untrusted names."""
     assert safe_name(robot) == name
     assert not file_name(robot).startswith("-")
 
 
 def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
-    """A robot may be called anything; two of the same beginning are side by side."""
     directory = LogDirectory(tmp_path)
     logs = [directory.open("a" * 5000 + end, WALL_NS, "test", is_incident=True) for end in "xy"]
     for log in logs:
@@ -111,7 +107,6 @@ def test_a_name_is_no_longer_than_a_disk_takes(tmp_path: Path) -> None:
 def test_a_directory_that_cannot_be_used_is_one_clear_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file is in its place; it may not be written to, for which root needs a knob."""
     (tmp_path / "logs").write_text("")
     with pytest.raises(CommandError, match=r"cannot write .*logs: (File exists|Not a directory)"):
         LogDirectory(tmp_path / "logs")
@@ -123,7 +118,6 @@ def test_a_directory_that_cannot_be_used_is_one_clear_error(
 
 
 def test_what_the_disk_does_not_take_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No header; names, however often it is tried; a file without a message, which only repeats another's."""
     directory = LogDirectory(tmp_path)
     for step in ("McapFile", "sync_directory", "sync_directory"):
         monkeypatch.setattr(files, step, failing(errno.EIO))
@@ -140,7 +134,6 @@ def test_what_the_disk_does_not_take_leaves_no_file(tmp_path: Path, monkeypatch:
 
 
 def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that another start has taken for a leftover is left to it; where there are no locks it is written."""
     with monkeypatch.context() as knobs:
         answers = iter([False, True])
         knobs.setattr(log_names, "lock", lambda _: next(answers))
@@ -155,7 +148,7 @@ def test_a_part_that_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that is written all the time has its next sync behind those of the others."""
+    """A file that is written all the time waits for its next sync behind the others."""
     monkeypatch.setattr(files, "SYNC_THREADS", 1)
     order: list[int] = []
     goes_on = threading.Semaphore(0)
@@ -180,7 +173,6 @@ def test_no_file_takes_the_disk_for_itself(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And renamed: whoever finds it unlocked may recover it."""
     got: list[bool] = []
     rename = Path.rename
 
@@ -201,7 +193,7 @@ def test_a_part_is_locked_until_it_is_whole(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_names_without_end_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A robot may name its DBC anew for ever: of the attachments that each file repeats the oldest go."""
+    """Of the repeated attachments the oldest are dropped."""
     monkeypatch.setattr(files, "ATTACHMENTS_MAX", 3)
     prologue, stream = Prologue(), BytesIO()
     for number in (1, 2, 3, 1, 4):
@@ -224,7 +216,6 @@ def line(name: str = LOG, size: int = 7, modified_ns: int = 1) -> UploadedLog:
 
 
 def test_the_next_start_knows_what_was_safe(tmp_path: Path) -> None:
-    """A reader that looked before sees it as well."""
     reader = SafeLogReader(tmp_path)
     assert reader.read() == {}
     with UploadNote(tmp_path) as note:
@@ -235,7 +226,6 @@ def test_the_next_start_knows_what_was_safe(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("torn", [b"", b"\n", b'{"file":"b', b"\xff\x00", b"[]\n", b'{"file":"b"}\n'])
 def test_a_line_that_was_torn_costs_itself_alone(tmp_path: Path, torn: bytes) -> None:
-    """By a power cut; the lines before it and after it hold."""
     with UploadNote(tmp_path) as note:
         note.add(line("a"))
     with (tmp_path / NAME).open("ab") as stream:
@@ -248,7 +238,6 @@ def test_a_line_that_was_torn_costs_itself_alone(tmp_path: Path, torn: bytes) ->
 def test_logs_that_are_gone_are_forgotten_once_they_are_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The note does not grow for as long as the robot lives."""
     monkeypatch.setattr(files, "GONE_LINES", 3)
     with UploadNote(tmp_path) as note:
         for name in "abcd":
@@ -262,7 +251,6 @@ def test_logs_that_are_gone_are_forgotten_once_they_are_many(
 
 
 def test_a_note_that_is_no_file_marks_nothing(tmp_path: Path) -> None:
-    """Retention is as it was before, and an upload says why it does not begin."""
     (tmp_path / NAME).mkdir()
     assert SafeLogReader(tmp_path).read() == {}
     with pytest.raises(CommandError, match="directory"):

@@ -1,4 +1,4 @@
-"""A log survives all that a disk may do: writer, files and recovery, on a directory that fails on demand."""
+"""A log survives any fault of the disk: writer, files and recovery, on a directory that fails on demand."""
 
 import errno
 import os
@@ -56,7 +56,7 @@ BEGIN: list[LogAction] = [
 
 
 class FaultyFile(FileIO):
-    """A file whose disk fails while ``error`` says so, and waits."""
+    """A file whose disk fails while ``error`` is set, and can hang."""
 
     error = 0
     goes_on = threading.Event()
@@ -70,7 +70,6 @@ class FaultyFile(FileIO):
 
 @pytest.fixture(autouse=True)
 def _disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk of every log here; without long pauses."""
     monkeypatch.setattr(files, "FileIO", FaultyFile)
     monkeypatch.setattr(log_writer, "RETRY_MIN_S", 0.01)
     monkeypatch.setattr(log_writer, "RETRY_MAX_S", 0.02)
@@ -121,7 +120,6 @@ def names(path: Path) -> list[str]:
 
 
 def files_of(directory: Path) -> dict[str, list[int]]:
-    """The messages of each file, those that are parts made whole."""
     for path in directory.rglob("*.part"):
         assert recover(path, "test").outcome in {RecoveryOutcome.RECOVERED, RecoveryOutcome.WHOLE}
     return {path.name: sequences(path) for path in sorted(directory.rglob("*.mcap"), key=lambda path: path.stem)}
@@ -164,7 +162,6 @@ LOGS, ELSEWHERE, LEFT = "logs", "elsewhere", "left"
 
 
 def leave(logs: Path, writer: LogWriter, then: Callable[[Path], object] = lambda _: None) -> None:
-    """The recorder is gone: what is on the disk now is all that there is of its log."""
     (left,) = logs.iterdir()
     copy = logs.with_name(LEFT) / left.name
     copy.parent.mkdir()
@@ -180,7 +177,7 @@ def tear(path: Path) -> None:
 
 
 def play(logs: Path, writer: LogWriter, disk: SlowDisk, steps: str) -> None:
-    """Chunks by their numbers, actions, what becomes of the disk, and what is waited for."""
+    """Play a script: chunks by number, actions, disk states, and waits."""
 
     def told(*, is_faulty: bool) -> None:
         wait_until(lambda: writer.submit([SyncLog("x")]) or writer._is_faulty is is_faulty)  # type: ignore[func-returns-value]
@@ -224,7 +221,7 @@ def play(logs: Path, writer: LogWriter, disk: SlowDisk, steps: str) -> None:
 
 @pytest.mark.parametrize("row", SURVIVED.strip().splitlines(), ids=lambda row: row.partition(" |")[0].strip())
 def test_a_log_survives(tmp_path: Path, disk: SlowDisk, row: str) -> None:
-    """Nothing is lost untold or there twice; it goes on in another file, and who submits waits for no disk."""
+    """No message is lost unreported, or duplicated."""
     name, steps, left = (part.strip() for part in row.split("|"))
     logs = tmp_path / LOGS
     writer = LogWriter(LogDirectory(logs), "test", queue_bytes=15_000)
@@ -245,7 +242,6 @@ def test_a_log_survives(tmp_path: Path, disk: SlowDisk, row: str) -> None:
 
 
 def test_the_next_file_repeats_what_lasts(tmp_path: Path, writer: LogWriter) -> None:
-    """So that it can be read alone; no message is in both."""
     end(writer, *BEGIN, chunk(1), CloseLog("x"), OpenLog("x", "x", WALL_NS), chunk(2))
     first, second = tmp_path / f"{STEM}.mcap", tmp_path / f"{STEM}-2.mcap"
     assert (sequences(first), sequences(second)) == ([1], [2])
@@ -254,7 +250,6 @@ def test_the_next_file_repeats_what_lasts(tmp_path: Path, writer: LogWriter) -> 
 
 
 def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> None:
-    """A file that is still waiting to be begun has none, whatever the one before came to."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: writer.sizes.get("x", 0) > 100)
     writer._chains["x"].submitted += 1
@@ -265,7 +260,6 @@ def test_the_size_is_that_of_the_file_that_is_asked_for(writer: LogWriter) -> No
 def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The oldest go, and who asks seldom is told of each all the same. No files are left behind by the tries."""
     monkeypatch.setattr(log_writer, "NOTICES_MAX", 3)
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=1000)
     FaultyFile.error = errno.ENOSPC
@@ -289,7 +283,6 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(
 
 
 def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> None:
-    """Each into files of its own, with its own prologue; an incident is called one."""
     writer.submit(on_log([*BEGIN, chunk(1)]))
     writer.submit(on_log([OpenLog("y", "y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
     writer.submit(on_log([chunk(3)]))
@@ -307,7 +300,6 @@ def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> 
 
 
 def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
-    """The log goes on in another file, and what was not yet on the disk is the first of it."""
     directory = tmp_path / "logs"
     writer = LogWriter(LogDirectory(directory), "test")
     writer.submit(on_log([*BEGIN, chunk(1), SyncLog("x")]))
@@ -325,7 +317,6 @@ def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("is_incident", [False, True])
 def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *, is_incident: bool) -> None:
-    """It is told; of an incident it does not count, for the log may have it."""
     begin = [OpenLog("x", "x", WALL_NS, is_incident=is_incident), *BEGIN[1:]]
     writer.submit(on_log([*begin, chunk(1), chunk(2), SyncLog("x")]))
 
@@ -345,7 +336,6 @@ def test_what_is_removed_with_a_log_is_lost(tmp_path: Path, writer: LogWriter, *
 def test_a_fault_of_our_own_is_raised_where_the_loop_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, disk: SlowDisk, *, fails: bool, kept: list[int], lost: int
 ) -> None:
-    """A thread that dies in silence would record nothing. The file is ended; what is not kept counts."""
     writer = LogWriter(LogDirectory(tmp_path), "test")
     writer.submit(on_log([*BEGIN, chunk(1)]))
     wait_until(lambda: not writer._queue and writer._unkept_bytes > 100)
@@ -360,7 +350,6 @@ def test_a_fault_of_our_own_is_raised_where_the_loop_is(
 
 
 def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, writer: LogWriter) -> None:
-    """Whether a file of the log is open or not; and with nothing of the incident before it."""
     writer.submit(on_log(BEGIN[1:], "y"))
     for number in range(2):
         about = WriteMetadata("x", f"incident {number}", {}, lasts=True)
@@ -374,7 +363,6 @@ def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, write
 
 
 def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, disk: SlowDisk) -> None:
-    """What it has taken and may not keep is held; when that is too much no more is written, and waits."""
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=20_000)
     writer.submit(on_log([*BEGIN, chunk(0), SyncLog("x")]))
     wait_until(lambda: writer._chains["x"].file is not None and writer._chains["x"].file.kept_size > 0)
@@ -396,7 +384,6 @@ def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, d
 
 
 def test_what_may_be_written_again_is_bounded_over_all_logs(tmp_path: Path, disk: SlowDisk) -> None:
-    """However many there are. When the disk gets on, so do they, though nobody asks it to keep anything."""
     disk.goes_on.clear()
     writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=40_000)
     for log in range(30):
@@ -415,7 +402,6 @@ def test_what_may_be_written_again_is_bounded_over_all_logs(tmp_path: Path, disk
 def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
-    """Its first message, and not the beginning of the file before; so many faults use up no names."""
     monkeypatch.setattr(files, "NAMESAKES_MAX", 2)
     writer.submit(on_log(BEGIN))
     for number in range(5):
@@ -434,7 +420,7 @@ def test_a_file_begun_after_a_fault_is_called_by_what_is_in_it(
 def test_the_end_waits_for_a_slow_disk_that_gets_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
-    """Each sync takes its time, and all of them far more than what the end waits for one that does nothing."""
+    """Together the syncs take far longer than the wait for a hung disk."""
     for log in range(60):
         writer.submit(on_log([OpenLog(f"x{log}", f"x{log}", WALL_NS), BEGIN[-1], chunk(log)], f"x{log}"))
     wait_until(lambda: not writer._queue)
@@ -456,7 +442,6 @@ def test_the_end_waits_for_a_slow_disk_that_gets_on(
 def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
-    """A disk takes several syncs in about the time of one; what is written by then a kill does not take."""
     FaultyFile.goes_on.clear()
     for log in range(4):
         opening = OpenLog("x", f"x{log}", WALL_NS)
@@ -481,7 +466,6 @@ def test_at_the_end_all_is_written_before_files_are_ended_several_at_once(
 
 
 def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: Path, writer: LogWriter) -> None:
-    """Its first messages came long before."""
     FaultyFile.error = errno.ENOSPC
     opening = OpenLog("x", "x", WALL_NS, is_incident=True)
     writer.submit(on_log([opening, BEGIN[-1], chunk(1, at_ns=WALL_NS - 30 * SECOND)], "x!"))
@@ -495,7 +479,6 @@ def test_an_incident_is_called_by_what_it_is_about_after_a_fault_too(tmp_path: P
 def test_the_end_does_not_wait_for_a_disk_that_does_not_answer(
     monkeypatch: pytest.MonkeyPatch, writer: LogWriter
 ) -> None:
-    """It says so, and what still waits is counted as lost: silence must not look like success."""
     FaultyFile.goes_on.clear()
     monkeypatch.setattr(log_writer, "END_S", 0.05)
     end(writer, *BEGIN, *(chunk(number) for number in range(20)))
@@ -520,7 +503,6 @@ def left(queue: LogQueue) -> list[LogAction]:
 
 
 def test_what_can_never_fit_goes_before_everything_else() -> None:
-    """For it all the others would have to go, and then it too."""
     small = [chunk_of(200) for _ in range(5)]
     large = chunk_of(5000)
     queue = queue_of(2000, *small[:3], large, *small[3:])
@@ -529,7 +511,7 @@ def test_what_can_never_fit_goes_before_everything_else() -> None:
 
 
 def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
-    """Which files there are, and what lasts, stays whatever happens."""
+    """Opening, closing and lasting metadata stay."""
     opened, end, sync = OpenLog("x", "x", WALL_NS), CloseLog("x"), SyncLog("x")
     once = WriteMetadata("x", "cruiser.completeness", {"t": "1" * 500})
     lasting = WriteMetadata("x", "cruiser", {"t": "1" * 500}, lasts=True)
@@ -550,7 +532,6 @@ def test_the_oldest_messages_go_first_and_what_is_said_of_files_last() -> None:
     st.integers(0, 3000),
 )
 def test_nothing_goes_without_need_and_the_order_stays(actions: list[LogAction], other_bytes: int) -> None:
-    """What is dropped and what is left is all there was; what is counted is what is there."""
     queue = queue_of(4000, *actions)
     dropped = queue.trim(other_bytes)
     bound = queue.bytes

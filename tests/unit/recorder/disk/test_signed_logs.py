@@ -1,4 +1,4 @@
-"""Logs that their recorder signs."""
+"""Logs signed by their recorder."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ NAME = "x-20270115T080000Z.mcap"
 
 
 def written(directory: Path) -> Path:
-    """Write a log as a recorder in signed mode does; its path."""
     writer = LogWriter(LogDirectory(directory, SIGNER), "test")
     channel = DeclareChannel("x", LogChannel(1, "t", "cruiser.Gear", descriptor_set(Gear)))
     chunk = WriteChunk("x", sealed([(1, 1, WALL_NS, WALL_NS, os.urandom(1000))]))
@@ -45,7 +44,6 @@ def written(directory: Path) -> Path:
 
 
 def signature_of(log: Path) -> LogSignature:
-    """The signature beside a log, which fits it."""
     found = LogSignature.read(Path(f"{log}.sig").read_bytes())
     assert found is not None
     assert found.fits
@@ -55,13 +53,11 @@ def signature_of(log: Path) -> LogSignature:
 
 
 def test_a_finished_log_is_signed(tmp_path: Path) -> None:
-    """By the recorder, all of it, under its name."""
     assert signature_of(written(tmp_path)).file == NAME
 
 
 @pytest.mark.parametrize("data", [small_log(), small_log()[:-3], flipped(small_log())])
 def test_what_a_killed_recorder_left_is_signed_at_the_next_start(tmp_path: Path, data: bytes) -> None:
-    """A part that is whole but for its name, one that is made whole, and what is good of a damaged one."""
     (tmp_path / f"{NAME}.part").write_bytes(data)
     (tmp_path / f"{NAME}.sig").write_text("half a signa")
     assert len(list(recover_leftovers(tmp_path.glob("*.part"), "test", SIGNER))) == 1
@@ -71,7 +67,6 @@ def test_what_a_killed_recorder_left_is_signed_at_the_next_start(tmp_path: Path,
 def test_a_log_without_room_for_its_signature_has_no_name_until_there_is_some(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is called a log in signed mode is signed."""
     with monkeypatch.context() as patch:
         patch.setattr(files, "write_signature", failing(errno.ENOSPC))
         assert not written(tmp_path).exists()
@@ -81,7 +76,6 @@ def test_a_log_without_room_for_its_signature_has_no_name_until_there_is_some(
 
 
 def test_a_log_takes_its_signature_with_it(tmp_path: Path) -> None:
-    """Retention deletes both."""
     written(tmp_path)
     keeper = DiskKeeper(tmp_path, DiskLimits(budget_bytes=1))
     try:

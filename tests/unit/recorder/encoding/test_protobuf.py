@@ -27,7 +27,6 @@ KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
 
 @KINDS
 def test_every_logged_class_has_a_schema_of_its_own(kind: type[msgspec.Struct]) -> None:
-    """The descriptor set alone is enough to build the message, with every field in its order."""
     descriptor = message_class(kind).DESCRIPTOR
     assert descriptor.full_name == schema_name(kind)
     assert [field.name for field in descriptor.fields] == [field.name for field in msgspec.structs.fields(kind)]
@@ -36,7 +35,6 @@ def test_every_logged_class_has_a_schema_of_its_own(kind: type[msgspec.Struct]) 
 
 @KINDS
 def test_a_descriptor_set_names_each_file_once_and_after_those_it_needs(kind: type[msgspec.Struct]) -> None:
-    """Readers may add the files in the order in which they come."""
     seen: list[str] = []
     for file in FileDescriptorSet.FromString(descriptor_set(kind)).file:
         assert set(file.dependency) <= set(seen)
@@ -46,7 +44,6 @@ def test_a_descriptor_set_names_each_file_once_and_after_those_it_needs(kind: ty
 
 @KINDS
 def test_numbers_have_a_fixed_width(kind: type[msgspec.Struct]) -> None:
-    """No number is a varint, in no message and no map."""
     varints = {
         getattr(FieldDescriptorProto, f"TYPE_{name}") for name in ("INT32", "INT64", "UINT32", "UINT64", "SINT32")
     }
@@ -57,7 +54,6 @@ def test_numbers_have_a_fixed_width(kind: type[msgspec.Struct]) -> None:
 
 
 def test_what_may_be_null_has_presence() -> None:
-    """A speed that is not known differs from a speed of 0."""
     fields = message_class(RobotState).DESCRIPTOR.fields_by_name
     assert fields["speed_mps"].has_presence
     assert not fields["bus_up"].has_presence
@@ -72,7 +68,6 @@ def test_what_may_be_null_has_presence() -> None:
 
 
 def test_a_type_without_a_counterpart_is_our_own_mistake() -> None:
-    """A new message that protobuf cannot hold is found when the module is loaded, not in the field."""
     with pytest.raises(TypeError, match="no counterpart"):
         protobuf._Files().add_struct(msgspec.defstruct("Odd", [("either", int | str)]))
     with pytest.raises(TypeError, match="no counterpart"):
@@ -106,7 +101,7 @@ def fill(target: Any, message: msgspec.Struct) -> Any:  # noqa: ANN401 - protobu
 
 @given(MESSAGES)
 def test_bytes_parse_back_as_the_protobuf_packages_own(message: Message) -> None:
-    """For any message of any subject, a protobuf reader sees the same as if protobuf had written it."""
+    """For any message of any subject."""
     kind = CLASSES[type(message)]
     parsed: ProtobufMessage = kind.FromString(ENCODERS[type(message)](message))
     expected = fill(kind(), message)
@@ -116,21 +111,18 @@ def test_bytes_parse_back_as_the_protobuf_packages_own(message: Message) -> None
 
 @given(message_of(cast("type[Message]", CanFrame)))
 def test_a_row_encodes_as_its_message(frame: Message) -> None:
-    """The encoder of values writes what the encoder of messages writes."""
     values = [getattr(frame, name) for name in frame.__struct_fields__]
     assert compile_row_encoder(CanFrame)(*values) == ENCODERS[CanFrame](frame)
 
 
 @pytest.mark.parametrize("length", [0, 127, 128, 16_383, 16_384, 100_000])
 def test_any_length_is_told(length: int) -> None:
-    """Of texts and of bytes: one byte of length, two, or three."""
     raw = RawSample(time_ns=1, key="k" * length, encoding="", payload=bytes(length), attachment=b"", reason="")
     parsed: Any = CLASSES[RawSample].FromString(ENCODERS[RawSample](raw))
     assert (parsed.key, parsed.payload) == (raw.key, raw.payload)
 
 
 def test_an_enumeration_too_large_for_one_byte_is_refused() -> None:
-    """The encoder's own limit is found when it is compiled."""
     large = Enum("large", [f"VALUE_{number}" for number in range(129)])  # type: ignore[misc]  # made at run time
     with pytest.raises(TypeError, match="too many"):
         compile_encoder(msgspec.defstruct("Large", [("value", large)]))

@@ -1,4 +1,4 @@
-"""The fast ways into a chunk write what the slow one writes."""
+"""The fast paths into a chunk write the same as the slow one."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ def slow_path(messages: list[Message]) -> Chunk | None:
 
 @given(st.data())
 def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> None:
-    """Byte for byte, index and counts included; the newest message is kept."""
+    """Byte for byte, index and counts included."""
     kind = data.draw(st.sampled_from(KINDS))
     first = data.draw(st.integers(0, SEQUENCE_SPAN - 10))
     drawn = data.draw(st.lists(message_of(kind), min_size=1, max_size=5))
@@ -52,7 +52,6 @@ def test_a_message_of_any_class_becomes_the_same_record(data: st.DataObject) -> 
 
 @pytest.mark.parametrize("sequence", [0, 4, 6, SEQUENCE_SPAN - 1])
 def test_what_does_not_follow_is_left_to_the_slow_path(sequence: int) -> None:
-    """A gap, a repetition, a step back: nothing is written or counted."""
     counters, chunk = KeyCounters(), ChunkBuilder()
     counters.next = 5
     add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
@@ -61,7 +60,6 @@ def test_what_does_not_follow_is_left_to_the_slow_path(sequence: int) -> None:
 
 
 def test_a_full_chunk_is_left_to_the_slow_path() -> None:
-    """Which has it handed over."""
     counters, chunk = KeyCounters(), ChunkBuilder(1000)
     counters.next = 0
     add = compile_adder(Gear, counters, chunk, CHANNEL, Latest())
@@ -74,7 +72,6 @@ def test_a_full_chunk_is_left_to_the_slow_path() -> None:
 
 @given(st.binary())
 def test_what_cannot_be_decoded_leaves_no_trace(payload: bytes) -> None:
-    """It raises, and the next sample is written as if it had not been."""
     counters, chunk = KeyCounters(), ChunkBuilder()
     counters.next = 1
     add = compile_adder(RobotState, counters, chunk, CHANNEL, Latest())
@@ -89,7 +86,7 @@ TIMES = st.integers(0, 2**63 - 1)
 
 @st.composite
 def common_batches(draw: st.DrawFn) -> CanFrames:
-    """Classic data frames of eight bytes with identifiers of one length, whatever they hold."""
+    """Classic data frames of eight bytes with identifiers of one length."""
     frames = draw(st.lists(st.tuples(TIMES, st.integers(0, IDENTIFIER_MASK), st.binary(min_size=8, max_size=8))))
     flag = draw(st.sampled_from([0, EXTENDED]))
     marks = st.sampled_from([TEXTS, st.sampled_from(['\u0011"3DUfw', "can0"])])
@@ -114,7 +111,6 @@ def unfolded(message: CanFrames) -> Chunk | None:
 
 
 def by_columns(message: CanFrames) -> tuple[bool, Chunk | None, KeyCounters]:
-    """By columns; whether it went that way."""
     counters, chunk = KeyCounters(), ChunkBuilder()
     counters.next = message.sequence
     added = can_adder(counters, chunk, CAN_CHANNEL)(codec.encode(message), WALL_NS)
@@ -133,7 +129,6 @@ def test_a_common_batch_becomes_the_same_records(message: CanFrames) -> None:
 
 @pytest.mark.parametrize(("limit_frames", "added"), [(9, [False, False]), (10, [True, False]), (11, [True, True])])
 def test_what_fits_no_chunk_is_left_to_the_slow_path(limit_frames: int, added: list[bool]) -> None:
-    """Which has a full one handed over, and makes several of a batch that is more than one."""
     message = batch(0, [(WALL_NS, feedback(number)) for number in range(10)])
     whole = unfolded(message)
     assert whole is not None
@@ -148,14 +143,12 @@ def test_what_fits_no_chunk_is_left_to_the_slow_path(limit_frames: int, added: l
 
 @given(message_of(CanFrames))
 def test_any_other_batch_is_left_to_the_slow_path(message: Any) -> None:  # noqa: ANN401 - drawn by its class
-    """Either the records are those of the slow path, or there are none."""
     added, chunk, _ = by_columns(message)
     assert added == is_common(message)
     assert chunk == (unfolded(message) if added else None)
 
 
 def test_one_frame_of_another_form_sends_the_batch_down_the_slow_path() -> None:
-    """Remote, error, short, FD, or an identifier of another length."""
     common = batch(0, [(WALL_NS + number, feedback(number)) for number in range(3)])
     word = common.can_id[0]
     assert is_common(common)
@@ -174,7 +167,6 @@ def test_one_frame_of_another_form_sends_the_batch_down_the_slow_path() -> None:
 
 
 def test_a_bus_has_no_long_name() -> None:
-    """A log repeats it with every frame: a small sample would become a large one."""
     message = batch(0, [(WALL_NS, feedback(0))])
     for length, kind in ((BUS_MAX_LENGTH, CanFrames), (BUS_MAX_LENGTH + 1, codec.PayloadFault)):
         payload = codec.encode(msgspec.structs.replace(message, bus="b" * length))

@@ -1,4 +1,4 @@
-"""The counters of a key, and events as viewers list them."""
+"""The counters of a key, and event lines."""
 
 from io import BytesIO
 
@@ -15,7 +15,6 @@ from tests.support.messages import WALL_NS, sample_of
 
 
 def test_a_step_back_is_a_new_beginning() -> None:
-    """A restarted sender counts from 0; that is no loss."""
     counters = KeyCounters()
     assert counters.count_sequence(500)
     assert not counters.count_sequence(0)
@@ -24,7 +23,6 @@ def test_a_step_back_is_a_new_beginning() -> None:
 
 
 def test_what_was_dropped_unread_is_not_missed() -> None:
-    """But only where it was dropped: elsewhere a gap is one, and what never was numbered hides none."""
     counters = KeyCounters()
     counters.lose(GapReason.QUEUE, 5)
     counters.count_sequence(10)
@@ -44,7 +42,6 @@ def test_what_was_dropped_unread_is_not_missed() -> None:
 
 
 def test_what_has_come_after_all_is_missed_no_more() -> None:
-    """And never less than nothing is missed."""
     counters = KeyCounters()
     counters.count_sequence(0)
     counters.count_sequence(2)
@@ -54,7 +51,7 @@ def test_what_has_come_after_all_is_missed_no_more() -> None:
 
 
 def test_each_source_of_a_key_has_a_sequence_of_its_own() -> None:
-    """Two that take turns do not look like losses, and hide none; anybody may make up any number of them."""
+    """The number of followed sources is bounded."""
     counters = KeyCounters()
     for source, sequence in (("a", 5), ("a", 7), ("b", 900), ("b", 902), ("a", 8), ("b", 906)):
         counters.count_source(source, sequence)
@@ -66,7 +63,6 @@ def test_each_source_of_a_key_has_a_sequence_of_its_own() -> None:
 
 @pytest.mark.parametrize(("severity", "level"), [(Severity.INFO, 2), (Severity.WARNING, 3), (Severity.ERROR, 4)])
 def test_an_event_is_a_line_of_a_log_too(severity: Severity, level: int) -> None:
-    """On a topic of its own, with its time, its severity and its words, as any protobuf reader decodes it."""
     event = SafetyEvent(
         time_ns=WALL_NS + 123,
         sequence=7,

@@ -52,7 +52,6 @@ def leaves(split: str | dict[str, Any]) -> list[str]:
 
 
 def test_each_path_leads_to_a_field_of_a_topic_that_a_recorder_writes() -> None:
-    """A slip in a name would be an empty chart."""
     topics = logged_topics()
     found = paths(layout())
     assert len(found) > 15
@@ -65,7 +64,6 @@ def test_each_path_leads_to_a_field_of_a_topic_that_a_recorder_writes() -> None:
 
 
 def test_every_panel_is_arranged_once_and_of_a_kind_that_viewers_know() -> None:
-    """With words that Foxglove knows, but for the title, which is a panel's own."""
     found = layout()
     assert sorted(leaves(found["layout"])) == sorted(found["configById"])
     for name, configuration in found["configById"].items():
@@ -75,14 +73,13 @@ def test_every_panel_is_arranged_once_and_of_a_kind_that_viewers_know() -> None:
 
 
 def test_it_has_what_a_viewer_refuses_to_be_without() -> None:
-    """Lichtblick takes no layout that lacks one of these."""
+    """Lichtblick accepts no layout without these."""
     found = layout()
     assert all(isinstance(found[name], dict) for name in ("configById", "globalVariables", "userNodes"))
     assert isinstance(found["playbackConfig"]["speed"], int)
 
 
 def test_events_are_listed() -> None:
-    """From the topic on which a recorder writes them as foxglove.Log."""
     log = Log()
     log.receive(sample_of(safety_event(EventKind.STOP)))
     declared = {one.channel.topic: one.channel for one in log.done if isinstance(one, DeclareChannel)}
@@ -92,14 +89,12 @@ def test_events_are_listed() -> None:
 
 @pytest.mark.parametrize("bus", ["", 'a"b', "a/b"])
 def test_a_bus_that_is_not_known_is_can0(bus: str) -> None:
-    """So is a name that is none, which a gateway could make up."""
     assert [path for path in paths(layout(RobotKeys("fleet/cruiser-1", bus))) if "/can/" in path] == [
         '"fleet/cruiser-1/can/can0/rx"'
     ]
 
 
 def test_a_point_in_a_root_does_not_end_the_topic() -> None:
-    """It is quoted."""
     found = paths(layout(RobotKeys("v1.fleet/cruiser-1", "vcan0.100")))
     topics = {match["topic"] for match in map(PATH.fullmatch, found) if match is not None}
     assert len(topics) == 4
@@ -107,7 +102,6 @@ def test_a_point_in_a_root_does_not_end_the_topic() -> None:
 
 
 def test_they_are_few_and_small_and_always_the_same() -> None:
-    """As many as room is kept for: each file of a recording repeats them."""
     made = layouts(ROBOT)
     assert len(made) == len({layout.name for layout in made}) == COUNT
     assert sum(len(layout.data) for layout in made) < 16_000
@@ -120,7 +114,6 @@ def plots(robot: RobotKeys) -> Element:
 
 @pytest.mark.parametrize("key", ["fleet/cruiser-1", "depot.1/hall/r-2"])
 def test_each_curve_is_a_number_of_a_topic_that_a_recorder_writes(key: str) -> None:
-    """Its name is topic and field, as PlotJuggler's parser of protobuf joins them; it plots numbers alone."""
     topics = logged_topics(key)
     curves = [curve.attrib["name"] for curve in plots(RobotKeys(key)).iter("curve")]
     assert len(curves) > 12
@@ -132,7 +125,7 @@ def test_each_curve_is_a_number_of_a_topic_that_a_recorder_writes(key: str) -> N
 
 
 def test_plots_are_built_as_plotjuggler_builds_it() -> None:
-    """root, tabbed_widget, Tab, Container, DockSplitter, DockArea, plot, curve; as many areas as it says."""
+    """root, tabbed_widget, Tab, Container, DockSplitter, DockArea, plot, curve."""
     root = plots(RobotKeys("fleet/cruiser-1"))
     assert root.tag == "root"
     (tabs,) = root.findall("tabbed_widget")

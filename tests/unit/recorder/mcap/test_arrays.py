@@ -37,7 +37,6 @@ def read(*chunks: tuple[bytes, Index | None]) -> Read:
 
 
 def rows(found: Read) -> list[tuple[object, ...]]:
-    """The messages by channel, in the order of the blocks."""
     content = found.content
     return [
         (channel, *fields, content[start : start + length].tobytes())
@@ -57,7 +56,6 @@ def rows(found: Read) -> list[tuple[object, ...]]:
 def test_all_fields_of_all_messages_come_back(
     chunks: list[list[tuple[int, int, int, int, bytes]]], random: object
 ) -> None:
-    """Found by the indexes, record by record, and outside of chunks."""
     expected = sorted((one for chunk in chunks for one in chunk), key=lambda one: one[0])
     parts = [packed(chunk) for chunk in chunks]
     singles = [(packed([one])[0], None) for chunk in chunks for one in chunk]
@@ -77,7 +75,6 @@ def test_all_fields_of_all_messages_come_back(
 def test_nothing_false_is_taken_for_proven(
     messages: list[tuple[int, int, int, int, bytes]], place: int, flip: int
 ) -> None:
-    """A byte changed: what the index finds is what a walk over the records finds, or the index is wrong."""
     content, index = packed(messages)
     damaged = bytearray(content)
     damaged[place % len(content)] ^= flip
@@ -88,7 +85,6 @@ def test_nothing_false_is_taken_for_proven(
 def test_a_wrong_index_is_found_out_and_costs_nothing(
     messages: list[tuple[int, int, int, int, bytes]], place: int, value: int
 ) -> None:
-    """One entry changed; the chunks beside it are as they are."""
     content, index = packed(messages)
     flat = [(channel_id, at) for channel_id, entries in index.items() for at in range(len(entries))]
     channel_id, at = flat[place % len(flat)]

@@ -1,4 +1,4 @@
-"""What MCAP's specification allows is read, and is no damage; of damage a copy has all that can be read."""
+"""Anything that MCAP's specification allows is read, and is no damage; a copy of damage has all readable data."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TEN: Final = (0, 2, 1, 3, 3, 5, 4, 7, 8, 9)
 
 
 def hashes() -> dict[str, str]:
-    """Return the SHA-256 of each variant, ``CASE-feature-feature``, in hexadecimal digits."""
+    """SHA-256 of each variant, ``CASE-feature-feature``, in hexadecimal."""
     pairs = (line.split() for line in HASHES.read_text("ascii").splitlines())
     return dict(pairs)
 
@@ -103,7 +103,7 @@ def make(variant: str) -> bytes:
 
 
 def _records(case: str, fields: bytes) -> tuple[bytes, bytes, list[tuple[int, bytes]]]:
-    """Return the bodies of a case's schema and channel, and the log time and body of each message."""
+    """The bodies of a case's schema and channel, and the log time and body of each message."""
     if case == "OneSchemalessMessage":
         channel = struct.pack("<HH", 1, 0) + _text("example") + _text("text") + _sized(b"")
     else:
@@ -149,7 +149,6 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, obje
 def test_every_variant_of_the_conformance_suite_is_sound(
     case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """``info``, ``check`` and ``recover`` find nothing wrong, and each message."""
     names = [name for name in VARIANTS if name.partition("-")[0] == case]
     for name in names:
         data = make(name)
@@ -170,7 +169,6 @@ def test_every_variant_of_the_conformance_suite_is_sound(
 def test_each_message_of_the_conformance_suite_is_exported(
     case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Whatever a file repeats and indexes. Of an encoding that is not known the data is a column of bytes."""
     for name in [name for name in VARIANTS if name.partition("-")[0] == case][::9]:
         log = tmp_path / f"{name}.mcap"
         log.write_bytes(make(name))
@@ -228,7 +226,6 @@ LEGAL = {
 
 @pytest.mark.parametrize("name", LEGAL)
 def test_what_is_allowed_is_no_damage(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """All three messages are read, exported, and left where they are by a recovery."""
     log = tmp_path / "log.mcap"
     log.write_bytes(LEGAL[name])
     assert answer(capsys, "info", log)["messages"] == 3
@@ -240,7 +237,7 @@ def test_what_is_allowed_is_no_damage(name: str, tmp_path: Path, capsys: pytest.
 
 
 def foreign(compression: CompressionType) -> bytes:
-    """Make a file as the mcap package does: channels within chunks, and in the summary."""
+    """Make a file as the mcap package does: channels in chunks, and in the summary."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=400, compression=compression)
     writer.start("ros2")
@@ -263,7 +260,6 @@ def kept(data: bytes) -> bytes:
 @example(FOREIGN[0], [(1.0, 1), (0.0625, 1)])
 @given(st.sampled_from(FOREIGN), st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), min_size=1, max_size=3))
 def test_a_copy_keeps_at_least_what_an_export_reads(data: bytes, damage: list[tuple[float, int]]) -> None:
-    """Bytes are damaged anywhere behind the file's magic."""
     damaged = bytearray(data)
     for place, bits in damage:
         damaged[8 + int(place * (len(data) - 9))] ^= bits
@@ -280,7 +276,6 @@ def survey_is_whole(data: bytearray) -> bool:
 
 @pytest.mark.parametrize("data", FOREIGN)
 def test_a_chunk_that_is_damaged_costs_its_own_messages_alone(data: bytes) -> None:
-    """Whatever it declared: the summary repeats it. The profile stays."""
     second = data.index(b'"i":', len(data) // 8) if data is FOREIGN[0] else len(data) // 4
     damaged = data[:second] + bytes([data[second] ^ 1]) + data[second + 1 :]
     copy = kept(damaged)
@@ -294,7 +289,6 @@ def test_a_chunk_that_is_damaged_costs_its_own_messages_alone(data: bytes) -> No
 def test_a_chunk_is_found_across_the_blocks_of_the_search(
     search_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The head of one without compression is longer than the marks of others."""
     monkeypatch.setattr("recorder.mcap.pieces.SEARCH_BYTES", search_bytes)
     first = FOREIGN[0].index(b"\x06", 30)
     # The length of the first chunk's record is wrong, so nothing tells where the next one begins.

@@ -1,4 +1,4 @@
-"""Our MCAP files have the bytes that were frozen: a file by the writer alone, and a recorder's log."""
+"""Our MCAP files have the frozen bytes: a file of the writer, and a recorder's log."""
 
 from collections.abc import Callable
 from hashlib import sha256
@@ -21,7 +21,6 @@ CHANNELS = [
 
 
 def by_the_writer() -> bytes:
-    """Channels, chunks whose messages go back in time, metadata, attachments."""
     packed = [
         [(1 + 2 * (n % 2), n, WALL_NS + n * MS, WALL_NS - n, b"%d" % n * (n % 5)) for n in range(first, first + 9)]
         for first in (40, 0, 20)
@@ -30,7 +29,6 @@ def by_the_writer() -> bytes:
 
 
 def by_a_recorder() -> bytes:
-    """Samples of several keys, an unknown one, and a broken payload."""
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in range(50)))
     log.receive(sample_of(batch(0, [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(20)])))
@@ -41,7 +39,7 @@ def by_a_recorder() -> bytes:
 
 
 class Stored:
-    """In the place of the compressor, whose bytes are its version's: leaves all as it is."""
+    """Replaces the compressor, whose bytes depend on its version: stores unpacked."""
 
     def __init__(self, level: int) -> None:
         """Of any level."""
@@ -65,7 +63,7 @@ def stored(maker: Callable[[], bytes]) -> bytes:
 
 @pytest.mark.parametrize("maker", FROZEN)
 def test_a_file_has_the_frozen_bytes(maker: Callable[[], bytes]) -> None:
-    """All but the compression of its chunks, which is the library's."""
+    """Except the compression of its chunks."""
     assert sha256(stored(maker)).hexdigest() == FROZEN[maker]
 
 
@@ -79,5 +77,4 @@ def chunks(data: bytes, unpack: Callable[[bytes], bytes]) -> list[tuple[str, int
 
 @pytest.mark.parametrize("maker", FROZEN)
 def test_its_chunks_hold_the_frozen_messages_compressed(maker: Callable[[], bytes]) -> None:
-    """By zstd, the one compression that is written."""
     assert chunks(maker(), zstandard.decompress) == chunks(stored(maker), bytes)

@@ -25,7 +25,7 @@ LOG = own_log([gears(3 * number, 3, 100 * number) for number in range(1, 5)], me
 
 
 class CountingStream(BytesIO):
-    """Remembers how much of it was read."""
+    """A stream that counts the bytes read."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -50,7 +50,6 @@ def chunks(data: bytes) -> list[PackedChunk]:
 
 
 def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
-    """Times, index, and where the index stands."""
     for number, chunk in enumerate(chunks(LOG), start=1):
         assert (chunk.start_ns, chunk.end_ns) == (100 * number, 100 * number + 20)
         block = chunk.unpack()
@@ -63,7 +62,6 @@ def test_a_chunk_tells_what_is_in_it_before_it_is_unpacked() -> None:
 
 
 def test_what_is_not_unpacked_is_not_read() -> None:
-    """Of a large chunk only the head is."""
     big = foreign_log([1], data=b'"' + b"x" * 1_000_000 + b'"', compression=CompressionType.NONE)
     stream = CountingStream(big)
     assert any(isinstance(piece, PackedChunk) for piece in read_pieces(stream, len(big), is_verifying=False))
@@ -72,7 +70,6 @@ def test_what_is_not_unpacked_is_not_read() -> None:
 
 @pytest.mark.parametrize("use_chunking", [True, False])
 def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:  # noqa: FBT001 - a parameter
-    """Whole records, with their places."""
     data = foreign_log(use_chunking=use_chunking)
     loose = [piece for piece in pieces(data) if isinstance(piece, MessageBlock)]
     assert len(loose) == (0 if use_chunking else 10)
@@ -85,7 +82,6 @@ def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:
     ids=["its head is lost", "its length leads nowhere", "its content is wrong"],
 )
 def test_a_damaged_chunk_costs_its_own_messages_only(start: int, bytes_: bytes) -> None:
-    """The next piece that proves itself is found again, and all behind it; schema and channel are outside."""
     second = chunks(LOG)[1]
     place = second.offset + start
     damaged = LOG[:place] + bytes_ + LOG[place + len(bytes_) :]
@@ -104,7 +100,6 @@ def test_a_damaged_chunk_costs_its_own_messages_only(start: int, bytes_: bytes) 
 
 @given(st.binary(max_size=300), st.integers(0, 10_000), st.booleans())
 def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verifying: bool) -> None:  # noqa: FBT001 - a parameter
-    """Noise in place of a file's bytes, or of the file."""
     place = len(MAGIC) + place % (len(LOG) - len(MAGIC))
     for data in (LOG[:place] + noise + LOG[place + len(noise) :], MAGIC + noise):
         assert isinstance(pieces(data, is_verifying=is_verifying)[-1], End | Fault)
@@ -112,13 +107,11 @@ def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int, is_verify
 
 
 def test_bytes_behind_the_end_are_a_fault() -> None:
-    """As when a file was written over a longer one."""
     found = walked(LOG + b"more")
     assert [type(one) for one in found[-2:]] == [Fault, End]
 
 
 def test_a_wrong_channel_of_an_unfinished_log_is_a_fault() -> None:
-    """Its check tells; MCAP's own checksum of the data stands at the end that the log does not have."""
     part = LOG[: chunks(LOG)[2].offset].replace(b"chassis/gear", b"chassis/fear")
     faults = [one for one in walked(part) if isinstance(one, Fault)]
     assert [fault.detail for fault in faults] == [

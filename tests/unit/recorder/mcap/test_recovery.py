@@ -1,4 +1,4 @@
-"""Damaged and unfinished files, made whole; the mcap package, which others wrote, reads the result."""
+"""Recovery of damaged and unfinished files; the independent mcap package reads the result."""
 
 import random
 from io import BytesIO
@@ -25,7 +25,6 @@ LOG = small_log()
 
 
 def rows(data: bytes, reader: Any = make_reader) -> list[Row]:  # noqa: ANN401 - the package's readers share no type
-    """Every message, with all that is said of it."""
     return [
         (channel.topic, schema.name, schema.data, one.sequence, one.log_time, one.publish_time, one.data)
         for schema, channel, one in reader(BytesIO(data), validate_crcs=True).iter_messages(log_time_order=False)
@@ -48,7 +47,6 @@ def repaired(data: bytes) -> tuple[FileSurvey, bytes]:
 
 
 def chunks_of(count: int, each: int = 3) -> tuple[bytes, list[int]]:
-    """A log of chunks of some messages; its bytes, and where each chunk and its indexes end."""
     stream = BytesIO()
     file = McapFile(stream, "test")
     for number in (1, 2):
@@ -72,7 +70,7 @@ CHUNKS, ENDS = chunks_of(4)
 
 
 def test_a_chunk_of_which_nothing_is_left_is_left_out() -> None:
-    """All its channels are lost: an empty chunk has the checksum 0, which would look like damage again."""
+    """An empty chunk has the checksum 0, which would look like damage."""
     channels = [LogChannel(number, f"t/{number}", "cruiser.Gear", descriptor_set(Gear)) for number in (1, 2)]
     log = own_log([[gear_message(0, 10, 1)], [gear_message(1, 20, 2)]], channels)
     _, result = repaired(log.replace(b"t/1", b"t/0"))
@@ -81,7 +79,6 @@ def test_a_chunk_of_which_nothing_is_left_is_left_out() -> None:
 
 
 def test_a_copy_can_be_recovered_again() -> None:
-    """Also that of a log that is not ours, or that has lost its beginning: it loses no message the second time."""
     for data in (foreign_log(), LOG[:8] + b"\xff" * 600 + LOG[608:]):
         copy, again = BytesIO(), BytesIO()
         copy_good(BytesIO(data), len(data), copy, "test")
@@ -91,7 +88,7 @@ def test_a_copy_can_be_recovered_again() -> None:
 
 
 def test_a_log_cut_off_at_any_byte_is_whole_up_to_there() -> None:
-    """Never an exception; all whole chunks, by index and in one pass; what is cut off was but a torn write."""
+    """All whole chunks are there, by index and in one pass; the rest is a torn write."""
     every_chunk = rows(CHUNKS)
     for size in range(len(CHUNKS)):
         found, result = repaired(CHUNKS[:size])
@@ -105,7 +102,6 @@ def test_a_log_cut_off_at_any_byte_is_whole_up_to_there() -> None:
 
 @given(st.integers(0, len(LOG)))
 def test_a_recovered_log_says_what_it_holds(size: int) -> None:
-    """Statistics, metadata and attachments; and it is whole to our own reader and to another recovery."""
     _, result = repaired(LOG[:size])
     summary = make_reader(BytesIO(result), validate_crcs=True).get_summary()
     assert summary is not None
@@ -117,7 +113,6 @@ def test_a_recovered_log_says_what_it_holds(size: int) -> None:
 
 
 def test_a_recovery_that_was_broken_off_is_done_again() -> None:
-    """Cut at any byte of its own end, the file comes to the same."""
     _, result = repaired(CHUNKS[: ENDS[2] + 40])
     for size in range(ENDS[2], len(result)):
         assert repaired(result[:size])[1] == result
@@ -126,7 +121,7 @@ def test_a_recovery_that_was_broken_off_is_done_again() -> None:
 @pytest.mark.parametrize("step", [41, by_night(5)])
 @pytest.mark.parametrize("is_finished", [True, False])
 def test_a_flipped_bit_is_never_silently_wrong_data(*, is_finished: bool, step: int) -> None:
-    """Each so many bytes: what can be read is what was written, and what cannot is told or was the torn end."""
+    """Readable data is as written; the rest is reported, or the torn end."""
     data = LOG if is_finished else LOG[: LOG.rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")]
     chooser = random.Random(7)  # noqa: S311 - reproducible, not secret
     for place in range(is_finished, len(data), step):
@@ -153,7 +148,6 @@ def test_a_flipped_bit_is_never_silently_wrong_data(*, is_finished: bool, step: 
     ids=["a length in the middle", "a content in the middle", "zeros of a power cut behind", "a last chunk"],
 )
 def test_damage_costs_its_own_chunk(data: bytes, sequences: list[int], fault_count: int, *, is_torn: bool) -> None:
-    """The chunks behind it are found again. A whole chunk that is wrong at the end is worth keeping: not torn."""
     found, result = repaired(data)
     assert [row[3] for row in rows(result)] == sequences
     assert (found.fault_count, found.is_torn or bool(found.fault_count)) == (
@@ -163,7 +157,6 @@ def test_damage_costs_its_own_chunk(data: bytes, sequences: list[int], fault_cou
 
 
 def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
-    """A reader cannot know what they are; the rest of their chunks is kept. Where the summary has it, all is."""
     lost = b"cruiser.CanFrame", b"Cruiser.CanFrame"
     assert rows(repaired(LOG.replace(*lost, 1))[1]) == ROWS
     found, result = repaired(LOG.replace(*lost))
@@ -176,7 +169,6 @@ def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
     [(CompressionType.NONE, True), (CompressionType.ZSTD, True), (CompressionType.NONE, False)],
 )
 def test_logs_of_others_are_made_whole_too(*, compression: CompressionType, use_chunking: bool) -> None:
-    """Without our checks, with schemas and channels within chunks, and with messages without any chunk."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=200, compression=compression, use_chunking=use_chunking)
     writer.start("", "other")
@@ -200,7 +192,7 @@ def test_logs_of_others_are_made_whole_too(*, compression: CompressionType, use_
 
 
 def test_a_log_of_others_whose_data_checksum_is_wrong_is_not_called_good() -> None:
-    """Nothing tells where: a message outside of chunks has no checksum of its own."""
+    """A message outside of chunks has no checksum of its own."""
     stream = BytesIO()
     writer = Writer(stream, use_chunking=False, enable_data_crcs=True)
     writer.start("", "other")
@@ -213,7 +205,6 @@ def test_a_log_of_others_whose_data_checksum_is_wrong_is_not_called_good() -> No
 
 
 def test_a_length_that_nobody_means_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A record that says it is longer than any may be is damage, and is not read."""
     longest = max(one - two for one, two in pairwise([*ENDS[::-1], 0]))
     monkeypatch.setattr(framing, "RECORD_MAX", longest)
     stream = Watched(CHUNKS[: ENDS[0]] + b"\x06" + (3 * longest).to_bytes(8, "little") + bytes(10 * longest))
@@ -223,7 +214,7 @@ def test_a_length_that_nobody_means_costs_no_memory(monkeypatch: pytest.MonkeyPa
 
 
 class Watched(BytesIO):
-    """A stream that knows what was read."""
+    """A stream that records what was read."""
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)

@@ -1,4 +1,4 @@
-"""The bytes of an MCAP file: the mcap package, which others wrote, is the judge."""
+"""The bytes of an MCAP file, judged by the independent mcap package."""
 
 import struct
 from io import BytesIO
@@ -33,7 +33,6 @@ CHUNKS = st.lists(
 def test_every_reader_of_the_mcap_package_reads_all_messages(
     chunks: list[list[tuple[int, int, int, int, bytes]]],
 ) -> None:
-    """By index and in one pass, checksums verified, in the order of the log times."""
     data = mcap_log(CHANNELS, chunks)
     expected = sorted(message for messages in chunks for message in messages)
     for reader in (
@@ -50,7 +49,6 @@ def test_every_reader_of_the_mcap_package_reads_all_messages(
 
 @given(CHUNKS)
 def test_statistics_and_indexes_say_what_is_there(chunks: list[list[tuple[int, int, int, int, bytes]]]) -> None:
-    """Counts, times, and the place of every chunk and of every message in it."""
     data = mcap_log(CHANNELS, chunks)
     summary = SeekingReader(BytesIO(data), validate_crcs=True).get_summary()
     assert summary is not None
@@ -98,20 +96,17 @@ def _record_at(data: bytes, offset: int, kind: type[Any]) -> Any:  # noqa: ANN40
 
 @given(st.integers(1, 64))
 def test_a_stream_may_take_a_little_at_a_time(at_once: int) -> None:
-    """Short writes are gone on with; nothing is lost or doubled."""
     chunks = [[(1, 1, 5, 5, b"one"), (2, 1, 4, 4, b"two")]]
     assert mcap_log(CHANNELS, chunks, disk=Disk(at_once=at_once)) == mcap_log(CHANNELS, chunks)
 
 
 def test_a_stream_that_takes_nothing_is_an_error() -> None:
-    """Rather than waiting for ever."""
     with pytest.raises(OSError, match="accepts no bytes"):
         McapFile(Disk(at_once=0), "test")
 
 
 @given(st.data())
 def test_after_a_full_disk_the_file_is_cut_back_to_whole_records(data: st.DataObject) -> None:
-    """Whatever write fails, all chunks before it can be read, and no half record is left."""
     chunks = [[(1, number, number, number, bytes([number]) * 50)] for number in range(1, 8)]
     whole = mcap_log(CHANNELS, chunks)
     header = len(mcap_log(CHANNELS, [])) - 100
@@ -136,7 +131,6 @@ def test_after_a_full_disk_the_file_is_cut_back_to_whole_records(data: st.DataOb
 
 
 def test_a_file_is_finished_once() -> None:
-    """After a failed sync the end may be asked for again; the file still has one summary and one footer."""
     stream = BytesIO()
     log = McapFile(stream, "test")
     log.finish()

@@ -1,4 +1,4 @@
-"""Copies of logs of object stores."""
+"""Local copies of logs in object stores."""
 
 from __future__ import annotations
 
@@ -38,12 +38,10 @@ def fetched(store: FakeObjects, directory: Path, name: str = "r/a.mcap", limit: 
 
 
 def ranges_of(store: FakeObjects, name: str = "r/a.mcap") -> list[int]:
-    """Where the ranges begin that were asked for."""
     return [start for one, start, _ in store.ranges if one == name]
 
 
 def test_a_log_is_fetched_once_with_its_signature(tmp_path: Path, store: FakeObjects) -> None:
-    """In pieces, each of which the caller is told of."""
     told: list[int] = []
     path = LogCache(tmp_path, 10_000).fetch(store, PLACE, "r/a.mcap", told.append)
     assert path.read_bytes() == DATA
@@ -56,7 +54,6 @@ def test_a_log_is_fetched_once_with_its_signature(tmp_path: Path, store: FakeObj
 
 
 def test_what_was_broken_off_goes_on(tmp_path: Path, store: FakeObjects) -> None:
-    """From the last piece that came whole."""
     store.breaks_after = 2
     with pytest.raises(CommandError, match=r"s3://logs/plant-1/r/a\.mcap: connection reset") as raised:
         fetched(store, tmp_path)
@@ -69,7 +66,6 @@ def test_what_was_broken_off_goes_on(tmp_path: Path, store: FakeObjects) -> None
 
 @pytest.mark.parametrize("where", ["store", "disk"])
 def test_what_is_not_what_was_uploaded_is_no_copy(tmp_path: Path, store: FakeObjects, where: str) -> None:
-    """Whether the store changed it, or the disk kept something else of what was broken off; it is fetched anew."""
     if where == "store":
         store.objects["r/a.mcap"] = bytes(len(DATA))
     else:
@@ -87,7 +83,6 @@ def test_what_is_not_what_was_uploaded_is_no_copy(tmp_path: Path, store: FakeObj
 
 
 def test_another_content_is_another_copy(tmp_path: Path, store: FakeObjects) -> None:
-    """By the store's mark."""
     first = fetched(store, tmp_path)
     store.objects = {"r/a.mcap": DATA[::-1]}
     assert fetched(store, tmp_path).read_bytes() == DATA[::-1]
@@ -95,7 +90,6 @@ def test_another_content_is_another_copy(tmp_path: Path, store: FakeObjects) -> 
 
 
 def test_what_was_not_asked_for_longest_goes_first(tmp_path: Path, store: FakeObjects) -> None:
-    """But what this question has asked for stays, however much it is."""
     for name in ("b.mcap", "c.mcap", "d.mcap"):
         store.objects[name] = os.urandom(2500)
     paths = {name: fetched(store, tmp_path, name) for name in ("b.mcap", "c.mcap")}
@@ -111,7 +105,6 @@ def test_what_was_not_asked_for_longest_goes_first(tmp_path: Path, store: FakeOb
 
 
 def test_a_copy_that_another_process_fetches_is_waited_for(tmp_path: Path, store: FakeObjects) -> None:
-    """And not fetched twice; whoever waits can stop."""
     store.breaks_after = 1
     with pytest.raises(CommandError):
         fetched(store, tmp_path)
@@ -141,7 +134,6 @@ def test_copies_are_where_the_user_keeps_such_things() -> None:
 
 
 def test_a_disk_that_takes_no_copy_is_said_in_a_line(tmp_path: Path, store: FakeObjects) -> None:
-    """With the directory."""
     (tmp_path / "file").write_text("")
     with pytest.raises(CommandError, match=r"cannot store a copy of s3://.*Not a directory"):
         fetched(store, tmp_path / "file")

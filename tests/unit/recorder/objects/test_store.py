@@ -1,4 +1,4 @@
-"""What obstore says of a store becomes bytes, or one line with its cure."""
+"""Answers of obstore become bytes, or one line with a cure."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,6 @@ DATA = bytes(range(200))
 
 @pytest.fixture
 def place(tmp_path: Path) -> StoreAddress:
-    """A directory with an object in it, and one below it."""
     (tmp_path / "cruiser-1").mkdir()
     (tmp_path / "a.mcap").write_bytes(DATA)
     (tmp_path / "cruiser-1/b.mcap").write_bytes(b"b")
@@ -25,7 +24,6 @@ def place(tmp_path: Path) -> StoreAddress:
 
 
 def test_an_object_is_looked_at_listed_and_read_by_ranges(place: StoreAddress) -> None:
-    """Names are those within the place."""
     objects = ObstoreObjects(place, {})
     found = objects.look("a.mcap")
     assert isinstance(found, StoredObject)
@@ -37,7 +35,6 @@ def test_an_object_is_looked_at_listed_and_read_by_ranges(place: StoreAddress) -
 
 
 def test_an_object_that_was_changed_is_not_read_on(place: StoreAddress) -> None:
-    """Parts of two contents would be an answer about neither."""
     objects = ObstoreObjects(place, {})
     found = objects.look("a.mcap")
     assert found is not None
@@ -53,7 +50,6 @@ def test_an_object_that_was_changed_is_not_read_on(place: StoreAddress) -> None:
 def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
     place: StoreAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A mark in the answer that is another is a change, too; and so are too few bytes."""
     objects = ObstoreObjects(place, {})
     honest = obstore.get
     monkeypatch.setattr(
@@ -97,8 +93,6 @@ def test_a_store_that_knows_no_conditions_is_held_to_its_answers(
 def test_what_goes_wrong_is_a_line_with_its_cure(
     place: StoreAddress, monkeypatch: pytest.MonkeyPatch, error: Exception, line: str
 ) -> None:
-    """The library's insides are not shown."""
-
     def refuse(*_: object, **__: object) -> None:
         raise error
 
@@ -113,14 +107,12 @@ def test_what_goes_wrong_is_a_line_with_its_cure(
 
 
 def test_a_place_of_too_many_objects_is_not_listed(place: StoreAddress, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for a bucket of millions."""
     monkeypatch.setattr(stores, "LISTED_MAX", 1)
     with pytest.raises(StoreError, match="name a place within it"):
         list(ObstoreObjects(place, {}).names())
 
 
 def test_a_directory_that_is_not_there_is_no_store(tmp_path: Path) -> None:
-    """Reading makes none."""
     with pytest.raises(CommandError, match="no such directory"):
         ObstoreObjects(StoreAddress(f"file://{tmp_path}/none"), {})
     assert not (tmp_path / "none").exists()
@@ -129,7 +121,6 @@ def test_a_directory_that_is_not_there_is_no_store(tmp_path: Path) -> None:
 
 
 def test_addresses_are_told_from_paths() -> None:
-    """By their scheme alone."""
     assert is_address("s3://logs/a.mcap")
     assert not is_address("logs/s3:/a.mcap")
     assert not is_address("memory:///a")
@@ -148,5 +139,4 @@ def test_addresses_are_told_from_paths() -> None:
     ],
 )
 def test_what_may_be_a_secret_in_an_address_is_not_shown(url: str, shown: str) -> None:
-    """In no message, and not in the note beside the logs."""
     assert shown_url(url) == shown

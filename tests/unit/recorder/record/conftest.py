@@ -9,7 +9,6 @@ from tests.support.rigs.recorder import RecorderRig, messages
 
 @pytest.fixture
 def bench() -> Iterator[RecorderRig]:
-    """A bench, of which every file is whole and readable in the end."""
     one = RecorderRig()
     yield one
     one.close()

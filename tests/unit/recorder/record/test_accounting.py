@@ -1,4 +1,4 @@
-"""What of a key was lost, and how that is reported."""
+"""Losses of a key, and their reports."""
 
 from typing import Any
 
@@ -24,7 +24,6 @@ def fields(one: KeyReport) -> dict[str, Any]:
 
 
 def test_a_report_has_a_field_for_each_reason() -> None:
-    """No loss goes without saying; all together are ``lost``. What was left out for none is merely not written."""
     counters = KeyCounters()
     counters.samples, counters.messages, counters.missed, counters.dropped = 20, 100, 7, 3
     counters.unwritten = 40
@@ -41,7 +40,6 @@ def test_a_report_has_a_field_for_each_reason() -> None:
 
 @given(REPORTS, REPORTS)
 def test_the_change_since_a_report_is_what_came_on_top(before: KeyReport, more: KeyReport) -> None:
-    """Nothing is below 0, even where what one file missed came in the next."""
     change = since(total([before, more]), before)
     for name, value in fields(change).items():
         none_before = fields(before)[name] is None
@@ -51,7 +49,6 @@ def test_the_change_since_a_report_is_what_came_on_top(before: KeyReport, more: 
 
 
 def test_gaps_that_are_merged_are_the_newest() -> None:
-    """With all that the older ones have counted, from the first of them on."""
     losses = LossReport(10)
     losses.add("t", RecordGap(20, 1, "k", GapReason.FULL, 10, 15, 3))
     losses.add("t", RecordGap(30, 2, "k", GapReason.FULL, 12, 25, 4))
@@ -59,7 +56,6 @@ def test_gaps_that_are_merged_are_the_newest() -> None:
 
 
 def test_ever_new_and_very_long_keys_cost_no_memory() -> None:
-    """What is lost of more of them is reported without its key, and counted all the same."""
     losses = LossReport(3)
     for number in range(100):
         losses.lose("a", f"k/{number}", GapReason.QUEUE, 1, number, number)

@@ -1,4 +1,4 @@
-"""What is asked of what gateways keep."""
+"""Queries for samples that gateways store."""
 
 from collections.abc import Callable
 
@@ -16,7 +16,7 @@ FIRSTS = {JOURNAL, EVENT, "fleet/cruiser-1/safety/decision", *PROOFS}
 
 
 class Robot:
-    """A gateway that keeps the samples from ``oldest`` on, and a backlog; ``loses`` says which replies go lost."""
+    """A gateway that stores the samples from ``oldest`` on, and a backlog; ``loses`` selects lost replies."""
 
     def __init__(self, key: str = JOURNAL, said: int = 0, oldest: int = 0) -> None:
         self.key, self.said, self.oldest = key, said, oldest
@@ -61,7 +61,6 @@ class Robot:
 
 
 def test_a_robot_that_is_new_is_asked_for_all_that_has_to_be_whole_and_its_proofs() -> None:
-    """Also where it says nothing now. What there is no room to ask stays due, and no try is counted meanwhile."""
     assert {f"fleet/cruiser-1/{subject.name}" for subject in KEPT_SUBJECTS} == FIRSTS
     backlog = Backlog()
     backlog.see("fleet", "cruiser-1", 0)
@@ -72,7 +71,6 @@ def test_a_robot_that_is_new_is_asked_for_all_that_has_to_be_whole_and_its_proof
 
 
 def test_what_was_said_before_comes_piece_by_piece() -> None:
-    """Each is asked for once the one before it is there; nothing comes twice."""
     robot = Robot(said=100)
     robot.say()
     robot.run()
@@ -82,7 +80,6 @@ def test_what_was_said_before_comes_piece_by_piece() -> None:
 
 
 def test_a_gap_is_filled_and_was_counted() -> None:
-    """A link that was cut: the tally has missed these, and has them back."""
     robot = Robot()
     robot.run()
     for number in range(60):
@@ -93,7 +90,6 @@ def test_a_gap_is_filled_and_was_counted() -> None:
 
 
 def test_replies_that_go_lost_are_asked_for_again() -> None:
-    """In their order, so that a journal has no hole; whoever never answers is given up."""
     robot = Robot(said=40)
     robot.say()
     lost: list[int] = []
@@ -110,7 +106,6 @@ def test_replies_that_go_lost_are_asked_for_again() -> None:
 
 @pytest.mark.parametrize(("key", "expected"), [(JOURNAL, [100]), (EVENT, list(range(30, 101)))])
 def test_of_a_past_that_is_cut_off_only_a_journal_is_worth_nothing(key: str, expected: list[int]) -> None:
-    """It cannot be run again; the events that are left still tell what happened."""
     robot = Robot(key, said=100, oldest=30)
     robot.say()
     robot.run()
@@ -118,7 +113,6 @@ def test_of_a_past_that_is_cut_off_only_a_journal_is_worth_nothing(key: str, exp
 
 
 def test_a_gateway_that_begins_anew_is_asked_anew() -> None:
-    """Whatever subject shows it: the events of a new run are asked for though none has come by itself."""
     robot = Robot(said=10)
     robot.say()
     robot.run()
@@ -130,7 +124,6 @@ def test_a_gateway_that_begins_anew_is_asked_anew() -> None:
 
 @pytest.mark.parametrize("has_asked", [True, False])
 def test_the_end_is_asked_for_too(*, has_asked: bool) -> None:
-    """No sample came after it that would show what is missing; nor need the log's turn to ask have come before."""
     robot = Robot(EVENT)
     if has_asked:
         robot.run()
@@ -143,7 +136,6 @@ def test_the_end_is_asked_for_too(*, has_asked: bool) -> None:
 
 
 def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
-    """Each sample of the one looks like a restart of the other; a restart alone is asked about at once."""
     backlog = Backlog()
     backlog.see("fleet", "cruiser-1", 0)
     asked = 0
@@ -159,7 +151,7 @@ def test_two_gateways_of_one_name_make_no_storm_of_questions() -> None:
 
 @pytest.mark.parametrize("place", [0, 3, 70, 500])
 def test_who_repeats_samples_of_a_robot_has_nothing_recorded_twice(place: int) -> None:
-    """It looks like a restart, or like a gap: the robot is asked, and what the log has is not written again."""
+    """It looks like a restart or a gap: the robot is queried, and known samples are not written again."""
     robot = Robot(EVENT, said=40)
     for _ in range(60):
         robot.say()
@@ -173,7 +165,6 @@ def test_who_repeats_samples_of_a_robot_has_nothing_recorded_twice(place: int) -
 
 
 def test_a_restart_has_its_own_samples_of_the_same_numbers_recorded() -> None:
-    """They are others than those of the run before."""
     robot = Robot(EVENT)
     for _ in range(20):
         robot.say()
@@ -185,7 +176,6 @@ def test_a_restart_has_its_own_samples_of_the_same_numbers_recorded() -> None:
 
 
 def test_of_what_was_repeated_a_bounded_number_is_known_again() -> None:
-    """What is older than a gateway keeps may be written twice, which review counts; the memory is bounded."""
     robot = Robot(EVENT)
     for _ in range(HELD + 5):
         robot.say()

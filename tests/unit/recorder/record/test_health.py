@@ -20,7 +20,6 @@ def receive(recorder: Recorder, *sequences: int) -> list[Action]:
 
 
 def test_it_is_due_each_second_with_the_rates_of_that() -> None:
-    """Also of what was not recorded. Who asks between gets the same, and takes no number: a gap is a loss."""
     recorder, health = Recorder(RECORDER_PLAN), report()
     receive(recorder, *range(30))
     for _ in range(10):
@@ -39,7 +38,6 @@ def test_it_is_due_each_second_with_the_rates_of_that() -> None:
 
 
 def test_it_says_since_when_it_does_what_it_does() -> None:
-    """At first since the start."""
     recorder, health = Recorder(RECORDER_PLAN), report()
 
     vitals = Vitals(*range(1, 9))

@@ -1,4 +1,4 @@
-"""What operators ask of a recorder, and what they are told."""
+"""Remote requests to a recorder, and the replies."""
 
 import pytest
 from hypothesis import given
@@ -15,7 +15,7 @@ from tests.support.rigs.recorder import RecorderRig
 
 
 class Desk(RecorderRig):
-    """Orders for a recorder, whose disk opens files when it is told to."""
+    """Orders for a recorder, whose disk opens files on request."""
 
     def __init__(self) -> None:
         super().__init__(RECORDER_PLAN)
@@ -33,7 +33,6 @@ class Desk(RecorderRig):
         return asked
 
     def notice(self, only: str = "") -> None:
-        """What became of the files, of this log only."""
         notices = self.writer.notices
         self.writer.notices = [one for one in notices if isinstance(one, Opened) and only in {"", one.log}]
         for notice in self.writer.notices:
@@ -43,7 +42,6 @@ class Desk(RecorderRig):
 
 
 def test_status_names_the_files_that_are_written() -> None:
-    """In order, without the incidents."""
     desk = Desk()
     desk.hear("b", "a")
     desk.ask(Mark())
@@ -52,7 +50,6 @@ def test_status_names_the_files_that_are_written() -> None:
 
 
 def test_a_mark_names_its_incidents() -> None:
-    """One that is under way at once, the others when they are begun; its reason goes into them."""
     desk = Desk()
     desk.hear("a", "b")
     first = desk.ask(Mark("it shook", "a"))
@@ -75,7 +72,6 @@ def test_a_mark_names_its_incidents() -> None:
     ],
 )
 def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
-    """With the reason."""
     desk = Desk()
     assert desk.ask(Mark()).answer.detail == "no data received"
     unread = desk.ask(PayloadFault("no such field")).answer
@@ -87,7 +83,6 @@ def test_a_mark_that_cannot_be_is_refused(mark: Mark, detail: str) -> None:
 
 
 def test_a_flood_of_marks_is_refused() -> None:
-    """Nobody signs them, and their incidents take room that those of faults need. Later some more are taken."""
     desk = Desk()
     desk.hear("a")
     desk.now_ns = 5 * SECOND
@@ -104,7 +99,6 @@ def test_a_flood_of_marks_is_refused() -> None:
 
 
 def test_marks_leave_room_for_incidents_of_faults() -> None:
-    """Which are written all the same: a part of the budget, and on a full disk the reserve."""
     desk = Desk()
     desk.hear("a")
     for has_room, has_mark_room in ((True, False), (False, True)):
@@ -117,7 +111,6 @@ def test_marks_leave_room_for_incidents_of_faults() -> None:
 
 
 def test_a_disk_that_does_not_answer_keeps_nobody_waiting() -> None:
-    """After a while the reply says how far it has come."""
     desk = Desk()
     desk.hear("a", "b")
     desk.notice()
@@ -137,7 +130,6 @@ REQUESTS = st.sampled_from([Status(), Mark(), Mark("x", "a"), PayloadFault("x")]
 
 @given(st.lists(st.one_of(REQUESTS, st.sampled_from(["receive", "notice", "wait", "close", "full", "room"]))))
 def test_whoever_asks_is_answered_once_and_in_time(steps: list[Request | PayloadFault | str]) -> None:
-    """Whatever else is asked meanwhile, whatever the disk does, with files that exist."""
     desk = Desk()
     asked: list[tuple[int, FakeAsked]] = []
     for step in steps:

@@ -1,4 +1,4 @@
-"""A recorder and senders of other versions: what it cannot interpret is kept whole, counted, and said once."""
+"""Senders of other versions: their samples are recorded as they are, counted, and announced once."""
 
 import msgspec
 import pytest
@@ -28,7 +28,6 @@ def said(log: Log) -> list[Announcement]:
 
 @pytest.mark.parametrize("subject", [one for one in ALL_SUBJECTS if one not in RECORDER_SUBJECTS])
 def test_another_version_of_any_subject_is_kept_whole_and_said_once(subject: Subject) -> None:
-    """The payload stands in the log as it came, with both versions and who is to be upgraded."""
     key = f"fleet/cruiser-1/{subject.name.format(bus='can0')}"
     log = Log()
     for number in range(3):
@@ -43,7 +42,6 @@ def test_another_version_of_any_subject_is_kept_whole_and_said_once(subject: Sub
 
 
 def test_an_older_sender_is_to_be_upgraded_itself() -> None:
-    """The recorder is not."""
     log = Log()
     state = BY_TYPE[type(STANDBY)]
     log.receive(FakeSample(key_of(type(STANDBY)), newer(state.encoding, -1), b""))
@@ -52,7 +50,6 @@ def test_an_older_sender_is_to_be_upgraded_itself() -> None:
 
 @given(grown=grown_messages())
 def test_a_message_with_a_new_word_is_kept_whole(grown: tuple[Subject, Message, tuple[str, ...]]) -> None:
-    """Nothing of it is lost, and the key's own channel keeps its schema."""
     subject, message, path = grown
     if subject in RECORDER_SUBJECTS:
         return
@@ -65,7 +62,7 @@ def test_a_message_with_a_new_word_is_kept_whole(grown: tuple[Subject, Message, 
 
 
 def test_a_message_with_a_new_word_is_not_missed() -> None:
-    """Its sequence counts: else the samples after it would show a loss on the link, and be asked for again."""
+    """Else the samples after it would count as a loss on the link."""
     state = BY_TYPE[type(STANDBY)]
     log = Log()
     for number in range(4):
@@ -78,7 +75,6 @@ def test_a_message_with_a_new_word_is_not_missed() -> None:
 
 @pytest.mark.parametrize("field", ["reason", "severity"])
 def test_a_latch_with_a_new_word_is_an_incident_all_the_same(field: str) -> None:
-    """An older recorder keeps what came before and after it, and lists it as far as it knows the level."""
     event = safety_event(EventKind.LATCH)
     subject = BY_TYPE[type(event)]
     log = Log(msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.LATCH})))
@@ -89,7 +85,6 @@ def test_a_latch_with_a_new_word_is_an_incident_all_the_same(field: str) -> None
 
 
 def test_fields_of_a_newer_version_are_said_once_and_the_rest_is_recorded() -> None:
-    """A log has what this version knows; what it left out is named with what to do."""
     subject = BY_TYPE[type(gear(0))]
     log = Log()
     for number in range(3):
@@ -101,7 +96,6 @@ def test_fields_of_a_newer_version_are_said_once_and_the_rest_is_recorded() -> N
 
 
 def test_what_is_said_of_versions_is_bounded() -> None:
-    """The words are the sender's: they fill no log with announcements."""
     log = Log()
     key, encoding = key_of(type(STANDBY)), BY_TYPE[type(STANDBY)].encoding
     for number in range(200):
@@ -110,7 +104,6 @@ def test_what_is_said_of_versions_is_bounded() -> None:
 
 
 def test_nothing_is_said_of_versions_where_all_is_of_this_one() -> None:
-    """Nor of what is no schema of ours."""
     log = Log()
     log.receive(sample_of(gear(0)), FakeSample(key_of(type(gear(0))), "text/plain", b"hello"))
     assert said(log) == []

@@ -1,4 +1,4 @@
-"""A recorder without I/O: whose log a sample goes to, what waits, and what it says of itself."""
+"""A recorder without I/O: the log of a sample, queues, and its own messages."""
 
 import weakref
 from collections import Counter
@@ -39,7 +39,6 @@ from tests.support.rigs.recorder import (
 
 
 def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: RecorderRig) -> None:
-    """Robots of another root are no mere namesakes: their logs are their own."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"), sample_of(gear(0), "a", "site/hall"))
     bench.receive(FakeSample("anything", "x", b""), FakeSample("fleet/a/of/their/own", "x", b""))
     bench.close()
@@ -56,7 +55,6 @@ def test_each_robot_has_a_log_and_what_is_no_robots_another(bench: RecorderRig) 
 def test_robots_beyond_the_limit_share_a_log(
     monkeypatch: pytest.MonkeyPatch, bench: RecorderRig, known: frozenset[str]
 ) -> None:
-    """Anybody on the network can make up names. A known robot has its own log, however many came first."""
     bench.recorder = Recorder(msgspec.structs.replace(PLAN, log_limit=2, known=known))
     monkeypatch.setattr("recorder.record.recorder.OWNED_KEY_LIMIT", 4)
     for robot in (*(f"r-{number}" for number in range(10)), "cruiser-1"):
@@ -66,7 +64,6 @@ def test_robots_beyond_the_limit_share_a_log(
 
 
 def test_one_log_for_all_if_that_is_wanted() -> None:
-    """Whose ever the samples are; and a robot of it can be marked."""
     bench = RecorderRig(msgspec.structs.replace(PLAN, per_robot=False))
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"), FakeSample("x", "x", b""))
     assert set(bench.logs()) == {OTHERS}
@@ -75,7 +72,6 @@ def test_one_log_for_all_if_that_is_wanted() -> None:
 
 
 def test_in_standby_nothing_is_written_but_incidents() -> None:
-    """What is in no file is no loss."""
     bench = RecorderRig(msgspec.structs.replace(PLAN, standby=True))
     assert bench.recorder.state is RecorderState.STOPPED
     bench.receive(sample_of(gear(0)))
@@ -94,7 +90,6 @@ def test_in_standby_nothing_is_written_but_incidents() -> None:
 
 
 def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: RecorderRig) -> None:
-    """And its answer describes the log."""
     bench.recorder.drop(key_of(GatewayInfo), GapReason.QUEUE, 0, WALL_NS)
     assert list(bench.recorder._logs) == ["cruiser-1"]
     actions = bench.recorder.ask(0)
@@ -107,7 +102,6 @@ def test_a_robot_whose_first_sample_is_dropped_is_asked_all_the_same(bench: Reco
 
 
 def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: RecorderRig) -> None:
-    """What was deleted, and a disk that is full and is not any more."""
     bench.receive(sample_of(gear(0), "a"), sample_of(gear(0), "b"))
     bench.writer.apply(bench.recorder.receive_notice(Deleted("old.mcap", 5), 0, WALL_NS))
     bench.room(has_room=False)
@@ -125,7 +119,6 @@ def test_what_is_said_is_numbered_and_said_in_every_log_that_is_written(bench: R
 
 
 def test_a_file_says_why_the_one_before_it_ended(bench: RecorderRig) -> None:
-    """Whatever was asked for when none was being written."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
     bench.room(roll=True)
@@ -141,7 +134,6 @@ def test_a_file_says_why_the_one_before_it_ended(bench: RecorderRig) -> None:
 
 
 def test_after_the_end_nothing_is_asked_for(bench: RecorderRig) -> None:
-    """Notices come after it, too; nobody would carry out what they cause."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
     bench.writer.apply(bench.recorder.close(0, WALL_NS))
@@ -160,7 +152,6 @@ def test_after_the_end_nothing_is_asked_for(bench: RecorderRig) -> None:
     ],
 )
 def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> None:
-    """Text that is none, nesting without end: whatever decoding raises is no reason to stop."""
     bench = RecorderRig(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
     good = sample_of(gear(0))
     broken = FakeSample(good.key, good.encoding, payload)
@@ -170,7 +161,6 @@ def test_a_broken_payload_on_the_fast_path_is_kept_as_it_is(payload: bytes) -> N
 
 
 def test_files_do_not_become_many_however_often_it_is_asked_for(bench: RecorderRig) -> None:
-    """One a second of each log; what comes too soon is one later, and nothing waits for a file that is ended."""
     for number in range(300):
         bench.receive(sample_of(gear(number)))
         bench.writer.apply(bench.recorder.roll("signal", bench.now_ns))
@@ -185,7 +175,6 @@ def test_files_do_not_become_many_however_often_it_is_asked_for(bench: RecorderR
 
 
 def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
-    """While a disk hangs, what is to be begun does not pile up; when it goes on, the file is ended once."""
     plan = msgspec.structs.replace(PLAN, log=msgspec.structs.replace(PLAN.log, rotate_ns=2 * SECOND))
     bench = RecorderRig(plan)
     for number in range(200):
@@ -201,7 +190,6 @@ def test_a_file_that_the_disk_has_not_begun_is_not_ended_for_another() -> None:
 
 
 def test_a_key_that_is_a_lines_topic_is_another(bench: RecorderRig) -> None:
-    """Whichever comes first: what anybody publishes there is decoded as what it is, and so are the events."""
     intruder = FakeSample(f"{EVENT_KEY}/{LOG_CHUNK}", "zenoh/bytes", b"\xff\xfe")
     reserved = FakeSample(f"{EVENT_KEY}/@log", "zenoh/bytes", b"\xff\xfe")
     event = sample_of(safety_event(EventKind.LEASE))
@@ -229,7 +217,6 @@ def test_a_key_that_is_a_lines_topic_is_another(bench: RecorderRig) -> None:
 
 
 def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: RecorderRig) -> None:
-    """Whoever records the recorders' keys gets its own, too; another recorder's are samples like any other."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
     bench.notice()
@@ -247,7 +234,6 @@ def test_what_the_recorder_says_comes_back_and_is_recorded_once(bench: RecorderR
 def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
     bench: RecorderRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However many came before it, a safety event makes its incident."""
     monkeypatch.setitem(accounting.LIMITS, accounting.ChannelQuota.OTHER, 10)
     bench.receive(*(FakeSample(f"fleet/cruiser-1/k/{number}", "x", b"") for number in range(60)))
     bench.receive(sample_of(safety_event(EventKind.STOP)))
@@ -257,7 +243,6 @@ def test_keys_that_anybody_makes_up_take_nothing_from_the_tables(
 
 
 def test_large_payloads_do_not_take_the_quick_way() -> None:
-    """What they hold besides the fields may take long to go through: the time is looked at after each."""
     bench = RecorderRig(msgspec.structs.replace(PLAN, sample_max_bytes=1_000_000))
     bench.receive(*(sample_of(gear(number)) for number in range(3)))
     large = msgspec.msgpack.encode({**msgspec.to_builtins(gear(3)), "more": bytes(QUICK_BYTES)})
@@ -269,7 +254,6 @@ def test_large_payloads_do_not_take_the_quick_way() -> None:
 
 
 def test_a_fleet_that_appears_at_once_is_asked_bit_by_bit(bench: RecorderRig) -> None:
-    """Each tick asks so much at most; all have been asked who they are before anybody is asked again."""
     robots = [f"r-{number}" for number in range(3 * TICK_LOGS)]
     bench.receive(*(sample_of(gear(0), robot) for robot in robots))
     infos = {Query(key_of(GatewayInfo, robot)) for robot in robots}
@@ -286,7 +270,6 @@ def test_a_fleet_that_appears_at_once_is_asked_bit_by_bit(bench: RecorderRig) ->
 
 
 def test_at_the_end_every_log_is_asked_for_its_last_samples(bench: RecorderRig) -> None:
-    """At once, as far as there is room, whoever had the last turn."""
     robots = [f"r-{number}" for number in range(2 * TICK_LOGS)]
     bench.receive(*(sample_of(info(), robot) for robot in robots))
     for tick in range(600):
@@ -301,13 +284,11 @@ LIMIT_BYTES = 5000
 
 
 def sample(number: int, size: int) -> ReceivedSample:
-    """A sample of this size, known by its receipt."""
     return FakeSample("k", "x", bytes(size), received_ns=number)
 
 
 @given(st.lists(st.one_of(st.integers(0, 6000), st.tuples(st.integers(0, 5), st.integers(0, 3000))), max_size=60))
 def test_the_oldest_go_first_and_each_is_taken_or_told(steps: list[int | tuple[int, int]]) -> None:
-    """In the order of their receipt, within the limit whatever comes; none goes while there is room."""
     inbox = SampleInbox(LIMIT_BYTES)
     waiting: list[tuple[int, int]] = []
     for number, step in enumerate(steps):
@@ -332,14 +313,11 @@ def test_the_oldest_go_first_and_each_is_taken_or_told(steps: list[int | tuple[i
 
 
 class Received:
-    """A sample that holds on to the buffer that it came in."""
-
     key, encoding, payload, attachment = "k", "x", b"payload", b"attachment"
     zenoh_time_ns, received_ns, source, deleted, is_reply = 1, 2, ("source", 3), True, True
 
 
 def test_what_waits_is_a_copy() -> None:
-    """It holds on to nothing; all of the sample is there when its turn comes."""
     inbox, received = SampleInbox(1000), Received()
     gone = weakref.ref(received)
     inbox.put(received)

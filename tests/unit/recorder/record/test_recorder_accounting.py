@@ -1,4 +1,4 @@
-"""A recorder without I/O: whatever comes and whatever is asked, each message is accounted for."""
+"""A recorder without I/O: each message is accounted for, whatever comes."""
 
 from collections import Counter
 from io import BytesIO
@@ -39,7 +39,7 @@ from tests.support.rigs.recorder import GEAR_KEY, OTHERS, OWN, PLAN, RecorderRig
 
 
 class _Key:
-    """What became of the samples of one key, in their order."""
+    """The fate of the samples of one key, in order."""
 
     def __init__(self) -> None:
         self.sequence = 7
@@ -49,7 +49,7 @@ class _Key:
 
 
 class _Window(msgspec.Struct):
-    """An incident: from when to when it has to hold what was received."""
+    """An incident: the times between which it must hold all received samples."""
 
     file: MemoryFile
     first_ns: int
@@ -57,14 +57,14 @@ class _Window(msgspec.Struct):
 
 
 def _is_ours(topic: str) -> bool:
-    """What the recorder says of itself, and the second form of events, are no samples."""
+    """True of the recorder's own messages and of event lines."""
     return topic.startswith(OWN) or topic.endswith(f"/{LOG_CHUNK}")
 
 
 class Machine(RuleBasedStateMachine):
-    """Three robots and somebody else, operators, and a disk that is full or loses chunks.
+    """Three robots and a stranger, operators, and a disk that is full or loses chunks.
 
-    Each sample has a receipt of its own, by which it is found again in the files.
+    Each sample has its own time of receipt.
     """
 
     def __init__(self) -> None:
@@ -242,7 +242,6 @@ TestRecording = Machine.TestCase
 
 
 def test_a_loss_is_told_in_the_log_that_it_is_about(bench: RecorderRig) -> None:
-    """Also of a broken sample's topic, which is no key; once a second, all of a key together."""
     for robot in ("a", "b"):
         bench.receive(sample_of(gear(0), robot), FakeSample(key_of(Gear, robot), "text/plain", b""))
     bench.writer.apply(bench.recorder.receive_notice(Lost("a", {1: 3, 2: 2}, WALL_NS, WALL_NS + 5), 0, WALL_NS))
@@ -260,7 +259,6 @@ def test_a_loss_is_told_in_the_log_that_it_is_about(bench: RecorderRig) -> None:
 
 
 def test_what_the_disk_lost_of_an_incident_is_no_loss_of_the_log(bench: RecorderRig) -> None:
-    """Nor is anything told of a log that nobody knows."""
     bench.receive(sample_of(gear(0)))
     for log in ("cruiser-1!", "nobody"):
         assert not bench.recorder.receive_notice(Lost(log, {1: 1}, 0, 0), 0, WALL_NS)
@@ -282,7 +280,6 @@ Step = str | int
 def test_a_file_counts_what_came_since_the_one_before_it(
     bench: RecorderRig, steps: list[Step], first: tuple[int, ...], second: tuple[int, ...]
 ) -> None:
-    """What came while the disk was full too."""
     sequence = 0
     do = {"full": lambda: bench.room(has_room=False), "room": bench.room}
     for step in steps:
@@ -306,7 +303,6 @@ def test_a_file_counts_what_came_since_the_one_before_it(
 def test_the_gaps_of_a_long_full_disk_are_in_the_next_file(
     bench: RecorderRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each is published in its second; in the file those of a key are one, so that it may last."""
     monkeypatch.setattr(robot_log, "PENDING_EVENTS_MAX", 10)
     monkeypatch.setattr(robot_log, "PENDING_GAPS_MAX", 3)
     bench.receive(sample_of(gear(0)))
@@ -335,7 +331,6 @@ LONG_KEY: Final = f"fleet/cruiser-1/{'y' * keys.KEY_MAX_LENGTH}"
 
 
 def test_very_long_keys_are_kept_and_not_remembered(bench: RecorderRig) -> None:
-    """Each with its sample, which is all; what is lost of them is counted without them."""
     monster = [FakeSample(f"{LONG_KEY}{number}", "x", b"") for number in range(20)]
     bench.receive(*monster)
     bench.receive(FakeSample(LONG_KEY, "x", bytes(2000)))

@@ -37,7 +37,6 @@ BEFORE_NS = 10 * SECOND
 
 
 def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: RecorderRig) -> None:
-    """However late the disk is: nobody is told the name of the wrong file."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
     bench.notice()
@@ -47,7 +46,6 @@ def test_a_new_incident_has_no_file_while_the_one_before_is_being_ended(bench: R
 
 
 def test_an_incident_does_not_name_a_log_that_was_ended(bench: RecorderRig) -> None:
-    """Even if the disk has not done it yet."""
     bench.receive(sample_of(gear(0)))
     bench.notice()
     bench.room(has_room=False)
@@ -58,7 +56,6 @@ def test_an_incident_does_not_name_a_log_that_was_ended(bench: RecorderRig) -> N
 
 
 def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: RecorderRig) -> None:
-    """A log that had not been opened, or that goes on in another file, is named as soon as it has a name."""
     bench.receive(sample_of(safety_event(EventKind.STOP)))
     bench.now_ns += SECOND
     bench.notice()
@@ -74,7 +71,6 @@ def test_incident_and_log_find_each_other_however_late_the_disk_is(bench: Record
 
 
 def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:
-    """Neither by an alarm nor by a mark; one that is being written ends with what was in hand, and it is told."""
     bench.receive(sample_of(gear(0)))
     bench.mark()
     bench.notice()
@@ -96,7 +92,6 @@ def test_without_room_for_incidents_there_are_none(bench: RecorderRig) -> None:
 
 
 def test_an_incident_declares_what_its_log_did(bench: RecorderRig) -> None:
-    """With its attachments, and what is known of the robot; also what is declared while it lasts."""
     bench.receive(sample_of(gear(0)), sample_of(info()))
     assert set(bench.mark("cruiser-1")) == {"cruiser-1!"}
     bench.receive(sample_of(batch(0, [(WALL_NS, feedback(0))])))
@@ -119,7 +114,6 @@ def chunk(number: int, size: int = 10) -> Chunk:
 @given(st.lists(st.integers(0, 360 * SECOND), max_size=20))
 @example([299 * SECOND] * 7)
 def test_whatever_happens_meanwhile_makes_it_longer_up_to_a_bound(waits_ns: list[int]) -> None:
-    """A fault that comes back all the time makes no endless file, nor many at once."""
     after_ns = 300 * SECOND
     incidents = Incidents("a", 0, after_ns)
     now_ns = begun_ns = 0
@@ -144,7 +138,6 @@ def test_whatever_happens_meanwhile_makes_it_longer_up_to_a_bound(waits_ns: list
 def test_all_rings_together_hold_the_newest(
     steps: list[tuple[int, int, int]], wait_ns: int, limit_bytes: int
 ) -> None:
-    """Whosesoever it is: a robot that says much may use what the others leave."""
     rings = [Incidents(str(number), BEFORE_NS, 0) for number in range(4)]
     now_ns = 0
     came: list[tuple[int, int]] = []
@@ -165,7 +158,6 @@ TOKEN = keys.liveliness(ROOT, "cruiser-1")
 
 
 def arbiter(bench: RecorderRig, sequence: int, engaged: ArbiterState, *, run: int = 1) -> ReceivedSample:
-    """A state that is published now, of one of several runs of the gateway."""
     tick = run * 10**10 + sequence
     said = msgspec.structs.replace(STANDBY, sequence=sequence, tick=tick, state=engaged, output_speed_mps=0.6)
     return sample_of(msgspec.structs.replace(said, time_ns=bench.wall_ns))
@@ -181,7 +173,6 @@ def drive(
 
 @pytest.mark.parametrize("restart_ns", [None, 100 * MS, 2 * SECOND])
 def test_a_gateway_that_dies_at_work_is_an_incident(bench: RecorderRig, restart_ns: int | None) -> None:
-    """Whether another one begins soon, late, or never; it is said, with what the dead one told the chassis."""
     drive(bench)
     dead_ns = bench.wall_ns
     bench.recorder.lose_token(TOKEN, bench.now_ns)
@@ -200,7 +191,6 @@ def test_a_gateway_that_dies_at_work_is_an_incident(bench: RecorderRig, restart_
 
 
 def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: RecorderRig) -> None:
-    """Nothing was told the chassis; links of robots that stand come and go all day."""
     drive(bench, ArbiterState.STANDBY)
     bench.recorder.lose_token(TOKEN, bench.now_ns)
     bench.run(SECOND)
@@ -210,7 +200,6 @@ def test_a_gateway_that_stands_by_is_told_and_makes_no_incident(bench: RecorderR
 
 
 def test_a_gateway_that_was_told_to_end_has_not_died(bench: RecorderRig) -> None:
-    """It says so, and is at rest; one that says so and goes silent in the midst of its stop has died."""
     for sequence, (engaged, incidents) in enumerate([(ArbiterState.STANDBY, 0), (ArbiterState.STOPPING, 1)]):
         drive(bench, engaged, first=10 * sequence)
         ends = msgspec.structs.replace(safety_event(EventKind.GATEWAY, Severity.INFO, sequence), tick=10**10)
@@ -221,7 +210,6 @@ def test_a_gateway_that_was_told_to_end_has_not_died(bench: RecorderRig) -> None
 
 
 def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: RecorderRig) -> None:
-    """Anybody may declare it and take it back. Nor does one of a robot that is not recorded."""
     drive(bench)
     bench.recorder.lose_token(TOKEN, bench.now_ns)
     bench.recorder.lose_token(keys.liveliness(ROOT, "stranger"), bench.now_ns)
@@ -234,7 +222,6 @@ def test_a_token_that_goes_while_the_states_go_on_tells_nothing(bench: RecorderR
 
 
 def test_states_that_wait_for_a_busy_recorder_hide_no_death(bench: RecorderRig) -> None:
-    """They come in after the token is gone, and then no more."""
     drive(bench)
     bench.recorder.lose_token(TOKEN, bench.now_ns)
     drive(bench, first=10)

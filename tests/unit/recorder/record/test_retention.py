@@ -1,4 +1,4 @@
-"""Which logs go, and whether there is room."""
+"""The logs to delete, and whether recording may continue."""
 
 import re
 
@@ -60,7 +60,6 @@ def test_only_what_may_go_goes_the_oldest_first(
     limits: DiskLimits,
     is_full: bool,  # noqa: FBT001 - drawn
 ) -> None:
-    """Incidents and what is being written never do, and nothing is deleted twice."""
     judgement = judge(entries, free_bytes, limits, is_full=is_full)
     may_go = [entry for entry in entries if not (entry.is_incident or entry.is_open or entry.is_stuck)]
     may_go.sort(key=lambda entry: (entry.started, entry.number, entry.name))
@@ -71,7 +70,6 @@ def test_only_what_may_go_goes_the_oldest_first(
 def test_where_there_is_room_the_limits_are_kept_and_no_log_goes_in_vain(
     entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
-    """One file less would not have been enough; and where nothing is enough, nothing goes."""
     judgement = judge(entries, free_bytes, limits, is_full=False)
     left = without(entries, judgement)
     freed_bytes = used(entries) - used(left)
@@ -91,7 +89,6 @@ def test_where_there_is_room_the_limits_are_kept_and_no_log_goes_in_vain(
 def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
     entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
-    """Then recording goes on meanwhile, and what is ended may go next."""
     judgement = judge(entries, free_bytes, limits, is_full=False)
     if judgement.roll:
         assert judgement.has_room
@@ -108,7 +105,6 @@ def test_logs_are_ended_only_when_that_makes_room_and_is_worth_it(
 def test_a_recording_that_goes_on_does_not_stop_at_the_next_byte(
     entries: list[LogEntry], free_bytes: int, limits: DiskLimits
 ) -> None:
-    """It goes on only when a part of the limits is free beyond them."""
     judgement = judge(entries, free_bytes, limits, is_full=True)
     if judgement.has_room and not judgement.roll:
         left = without(entries, judgement)
@@ -122,7 +118,7 @@ LOG = re.compile(r"(?P<robot>.+)@(?P<hour>\d+):(?P<size>\d+)(?P<flags>[+!~]*)")
 
 
 def log(text: str) -> LogEntry:
-    """A log, as robot@hour:size; + it is being written, ! it is an incident, ~ it is safe elsewhere."""
+    """A log, as robot@hour:size; + it is being written, ! it is an incident, ~ it is uploaded."""
     match = LOG.fullmatch(text)
     assert match, text
     robot, flags, start = match["robot"], match["flags"], f"20270115T{int(match['hour']):02}0000Z"
@@ -144,7 +140,7 @@ def logs_of(text: str) -> list[LogEntry]:
 
 
 def limits_of(text: str) -> DiskLimits:
-    """Limits as budget/floor, and after a colon the robot that is known and how long its logs are kept."""
+    """Limits as budget/floor, and after a colon the known robot and how long its logs are kept."""
     (budget, floor), (known, keep) = (
         part.split("/") if part else ("", "0") for part in (text.partition(":")[0], text.partition(":")[2])
     )
@@ -153,7 +149,7 @@ def limits_of(text: str) -> DiskLimits:
 
 
 def ruling(text: str) -> Judgement:
-    """The logs that go; "full" where there is no room, "crowded" where there is none for incidents, "roll"."""
+    """The deleted logs; "full" without space, "crowded" without space for incidents, "roll"."""
     words = {"full", "crowded", "roll"}
     said = text.split()
     delete = tuple(word for word in said if word not in words)
@@ -206,9 +202,9 @@ ROWS = [[part.strip() for part in row.split("|")] for row in RULINGS.strip().spl
 
 @pytest.mark.parametrize(("logs", "limits", "expected"), [row[1:] for row in ROWS], ids=[row[0] for row in ROWS])
 def test_what_goes_and_whether_there_is_room(logs: str, limits: str, expected: str) -> None:
-    """A row each: the logs that there are, the limits with what is free beyond the "@", the ruling.
+    """A row each: the logs, the limits with the free bytes behind "@", the ruling.
 
-    Behind "full" recording had stopped: to go on takes more room than not to stop, or a byte would begin a file.
+    Behind "full" recording had stopped.
     """
     limits, _, is_full = limits.partition(" ")
     limits, _, free = limits.partition("@")
@@ -217,21 +213,18 @@ def test_what_goes_and_whether_there_is_room(logs: str, limits: str, expected: s
 
 
 def test_what_an_earlier_recorder_left_is_no_reason_to_end_files() -> None:
-    """It is not this one's to end: nothing would come of it but many small files."""
     left = LogEntry("1", 5000 * SCALE, "1", is_open=True)
     assert judge([left, log("a@2:100")], 0, limits_of("1000/0"), is_full=False) == ruling("full")
 
 
 @pytest.mark.parametrize(("more_bytes", "has_room"), [(-1, True), (0, False)])
 def test_incidents_may_fill_their_share_and_no_more(more_bytes: int, *, has_room: bool) -> None:
-    """Of the budget; the byte that fills it is the last."""
     incident = LogEntry("1", int(INCIDENT_SHARE * 1000 * SCALE) + more_bytes, "1", is_incident=True)
     assert judge([incident], 0, limits_of("1000/0"), is_full=False).has_incident_room is has_room
 
 
 @pytest.mark.parametrize("starts", [("a", "b"), ("00010101T000000Z", "00010101T003000Z")])
 def test_of_a_known_robot_whose_starts_are_no_times_the_newest_log_stays(starts: tuple[str, str]) -> None:
-    """Anybody can name a file: one that cannot be reckoned with, or an hour before the first year."""
     own = [LogEntry(start, 100 * SCALE, start, robot="c") for start in starts]
     judgement = judge([*own, log("s@0:50")], 0, limits_of("150/0:c/3600"), is_full=False)
     assert judgement.delete == starts[:1]
@@ -242,7 +235,7 @@ def bytes_of(robot: str, entries: list[LogEntry]) -> int:
 
 
 def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
-    """Each robot keeps its newest; where robots are known, a thousand made-up names have one share together."""
+    """With known robots, a thousand made-up names have one share together."""
     own = [log(f"c@{hour}:100") for hour in range(10)]
     entries = own + [log(f"s{number}@{hour}:100") for number in range(9) for hour in range(10, 20)]
     left = without(entries, judge(entries, 0, limits_of("1000/0"), is_full=False))
@@ -257,7 +250,6 @@ def test_made_up_robots_cost_the_true_one_no_more_than_its_fair_share() -> None:
 
 @pytest.mark.parametrize(("age_s", "goes"), [(3599.0, False), (3600.0, True)])
 def test_an_incident_that_is_safe_elsewhere_stays_for_a_while(age_s: float, *, goes: bool) -> None:
-    """So that somebody can see it there; until then it takes the room of incidents."""
     entry = LogEntry("safe", 100, "20270115T080000Z", is_incident=True, is_safe=True, age_s=age_s)
     judgement = judge([entry], 0, DiskLimits(budget_bytes=50, keep_incidents_s=3600.0), is_full=False)
     assert (judgement.delete == ("safe",), judgement.has_incident_room) == (goes, goes)

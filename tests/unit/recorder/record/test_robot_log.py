@@ -63,7 +63,7 @@ INFO_KEY = key_of(GatewayInfo)
 
 
 def in_short(report: KeyReport) -> tuple[int, int, int]:
-    """Messages written, samples missed, frames that the source dropped."""
+    """Messages written, samples missed, frames dropped by the source."""
     return report.written, report.lost_link, report.lost_source
 
 
@@ -73,7 +73,6 @@ def kinds(actions: Sequence[Action]) -> list[type[Action]]:
 
 @given(subjects_and_messages())
 def test_a_sample_of_any_subject_becomes_its_message(pair: tuple[Subject, Message]) -> None:
-    """One channel of the key's own, with the subject's schema; times and sequence are kept."""
     subject, message = pair
     log = Log()
     log.receive(sample_of(message))
@@ -94,7 +93,7 @@ def test_a_sample_of_any_subject_becomes_its_message(pair: tuple[Subject, Messag
     TIMES,
 )
 def test_whatever_comes_is_kept_in_a_file_that_others_read(samples: list[ReceivedSample], wall_ns: int) -> None:
-    """Any key, encoding, payload, attachment and time, and any clock of ours: nothing raises, nothing is lost."""
+    """Any key, encoding, payload, attachment and time."""
     log = Log()
     log.receive(*samples, wall_ns=wall_ns)
     if not samples:
@@ -132,7 +131,6 @@ def with_time(time: object, sample: ReceivedSample) -> ReceivedSample:
 def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
     change: Callable[[ReceivedSample], ReceivedSample], reason: str
 ) -> None:
-    """On a channel of its own, so that the key's channel keeps one schema; with the reason."""
     log = Log()
     good = sample_of(gear(0))
     log.receive(good, change(good), sample_of(gear(1)))
@@ -146,7 +144,6 @@ def test_a_broken_sample_of_a_known_key_is_kept_beside_the_good_ones(
 
 
 def test_a_batch_is_unfolded_into_its_frames() -> None:
-    """One record for each frame, published when the bus delivered it, with flags and bytes as received."""
     log = Log()
     frames = [(WALL_NS - number * MS, feedback(number)) for number in range(3)]
     log.receive(sample_of(batch(7, frames, dropped=2)))
@@ -182,10 +179,7 @@ def test_the_flags_of_a_frame_are_told_apart(word: int, fd: int, expected: tuple
 
 
 def test_the_file_is_opened_by_the_first_sample() -> None:
-    """A recorder that waits leaves no file; the opening comes before all else, and a channel once.
-
-    A chunk that went out by size is at risk until it is synced.
-    """
+    """A chunk handed over for its size counts as unsynced."""
     log = Log(LogPlan("x", 1, SECOND, "1"))
     assert log.tick(SECOND) == []
     assert log.close() == b""
@@ -197,7 +191,6 @@ def test_the_file_is_opened_by_the_first_sample() -> None:
 
 @given(st.lists(st.tuples(st.integers(1, 300), st.booleans()), max_size=60))
 def test_no_message_waits_longer_than_the_setting(steps: list[tuple[int, bool]]) -> None:
-    """With a tick every 10 ms, whatever comes when, half the setting is left to the disk."""
     log = Log()
     now, oldest = 0, None
     for wait_ms, comes in steps:
@@ -212,7 +205,6 @@ def test_no_message_waits_longer_than_the_setting(steps: list[tuple[int, bool]])
 
 
 def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
-    """A reply is recorded once, at its key, and is missed no more; what is there already is not recorded again."""
     message = Journal(time_ns=WALL_NS, sequence=0, run=7, first=0, count=0, inputs=b"\x90")
     lived = [sample_of(msgspec.structs.replace(message, sequence=number)) for number in range(6)]
     replies = [FakeSample(one.key, one.encoding, one.payload, is_reply=True) for one in lived]
@@ -230,7 +222,6 @@ def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
 
 
 def test_a_restarted_gateway_is_asked_again() -> None:
-    """Its sequence falls back; that is no loss, but it may be another version."""
     log = Log()
     log.receive(sample_of(gear(900)), sample_of(info()))
     log.ask(0)
@@ -240,7 +231,6 @@ def test_a_restarted_gateway_is_asked_again() -> None:
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MCAP has 65,535 channels; samples beyond are kept with their key. The table's keys have room apart."""
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 2)
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.TABLE, 1)
     log = Log()
@@ -253,7 +243,6 @@ def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_robot_has_room_for_a_few_buses(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their names are not in the table: those of further ones are keys like any other."""
     monkeypatch.setattr(robots_module, "BUS_LIMIT", 2)
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 1)
     log = Log()
@@ -268,7 +257,6 @@ GAP = RecordGap(WALL_NS, 3, GEAR_KEY, GapReason.QUEUE, WALL_NS - 5, WALL_NS - 1,
 
 
 def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many keys others have made up."""
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 3)
     log = Log()
     log.receive(*(FakeSample(f"x/{number}", "", b"") for number in range(9)))
@@ -280,7 +268,6 @@ def test_there_is_always_room_for_what_the_recorder_says(monkeypatch: pytest.Mon
 def test_what_the_gateway_never_got_from_the_bus_is_counted_at_its_key(
     health: GatewayHealth, counts: list[int]
 ) -> None:
-    """By its own count, from when we came; of a frame that nobody publishes it is nowhere."""
     log = Log()
     log.receive(sample_of(gear(0)))
     assert log.log.channels.counts[GEAR_KEY].lost_bus is None
@@ -312,7 +299,6 @@ FRAMES = batch(0, [(0, bytes(8))] * FRAMES_MAX)
     ids=["as many as may be", "one more", "very many", "uneven"],
 )
 def test_a_batch_that_makes_no_sense_is_kept_as_it_is(message: CanFrames, reason: str) -> None:
-    """To unfold one that is absurdly long would take seconds; where it is that large, to decode it, too."""
     log = Log(LogPlan("x", 1 << 30, SECOND, "1"))
     log.receive(sample_of(message))
     assert log.log.channels.counts[FRAMES_KEY].written == (0 if reason else FRAMES_MAX)
@@ -322,7 +308,6 @@ def test_a_batch_that_makes_no_sense_is_kept_as_it_is(message: CanFrames, reason
 
 
 def test_ever_new_keys_and_robots_cost_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond the limits a sample is written, and nothing of it is kept: neither its key, its robot nor a route."""
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.OTHER, 20)
     monkeypatch.setitem(accounting.LIMITS, ChannelQuota.TABLE, 10)
     for module in (robots_module, backlog_module):
@@ -372,7 +357,6 @@ def test_a_file_that_is_large_or_old_enough_is_ended(
     file_bytes: int,
     is_ended: bool,  # noqa: FBT001 - pytest gives it
 ) -> None:
-    """By its size, but not at once, or by its time, where these are set; the chunk in hand goes first."""
     log = Log(plan)
     log.receive(sample_of(gear(0)))
     actions = kinds(log.tick(now_ns, file_bytes))
@@ -383,7 +367,6 @@ def test_a_file_that_is_large_or_old_enough_is_ended(
 
 
 def test_a_file_in_which_nothing_is_received_is_ended() -> None:
-    """What the recorder itself says is no sign of life of a robot."""
     log = Log(LogPlan("x", 1 << 20, SECOND, "1", idle_ns=10 * SECOND))
     log.receive(sample_of(gear(0)))
     log.tick(5 * SECOND)
@@ -395,7 +378,6 @@ def test_a_file_in_which_nothing_is_received_is_ended() -> None:
 
 
 def test_the_next_file_begins_with_the_next_sample() -> None:
-    """Named after its time; it says what it continues, and what the newest state was. Nothing is doubled."""
     context = LogContext()
     log = RobotLog(ROLLING, context)
     log.receive_sample(sample_of(gear(4)), 0, WALL_NS)
@@ -420,7 +402,6 @@ def test_the_next_file_begins_with_the_next_sample() -> None:
 
 
 def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
-    """It begins no file: where none is open, it is in the next one. Its time is the one that it says."""
     log = Log()
     assert log.add_own("own", GAP) == []
     log.receive(sample_of(gear(0)))
@@ -442,7 +423,6 @@ def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
     severity: Severity,
     is_reply: bool,  # noqa: FBT001 - pytest gives it
 ) -> None:
-    """Once it is worth a warning, and as it happens; the event itself is in the incident, behind its beginning."""
     log = Log(LogPlan("x", 1, SECOND, "1", alarms=frozenset({EventKind.STOP, EventKind.FAULT})))
     # Something of before, so that what a reply holds is missing.
     log.receive(sample_of(gear(0)))
@@ -474,7 +454,6 @@ def test_an_event_of_the_kinds_that_were_asked_for_is_an_alarm(
 def test_a_warning_of_an_idle_robot_is_no_incident(
     severity: Severity, arbiter_says: dict[str, object] | None, speed_mps: float | None, incidents: int
 ) -> None:
-    """Idle is one that is known to stand by at rest, without a lease."""
     log = Log(msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.FAULT})))
     log.receive(sample_of(state(0, speed_mps=speed_mps)))
     if arbiter_says is not None:
@@ -485,7 +464,6 @@ def test_a_warning_of_an_idle_robot_is_no_incident(
 
 
 def test_a_batch_becomes_as_many_chunks_as_it_needs() -> None:
-    """None is much larger than it is to be: what cannot wait for the disk would take everything else with it."""
     limit_bytes = 2000
     log = Log(LogPlan("x", limit_bytes, SECOND, "1"))
     log.receive(sample_of(batch(0, [(WALL_NS + number, feedback(number)) for number in range(1000)])))
@@ -497,7 +475,6 @@ def test_a_batch_becomes_as_many_chunks_as_it_needs() -> None:
 
 
 def test_a_text_without_end_is_cut_where_it_becomes_a_line() -> None:
-    """The reason of an incident is one, and so is the second form of an event; its first form holds it all."""
     event = msgspec.structs.replace(
         safety_event(EventKind.STOP), text="x" * 1_000_000, operator="y" * 1_000_000, sequence=0
     )

@@ -1,4 +1,4 @@
-"""What is known of each robot."""
+"""The infos of robots."""
 
 from itertools import pairwise
 
@@ -27,7 +27,6 @@ def names(effects: list[LogAction]) -> list[str]:
 
 
 def test_a_new_robot_is_asked_at_once_and_again_ever_more_rarely() -> None:
-    """A gateway that never answers costs little."""
     robots = seen()
     asked = [now for now in range(0, 400 * SECOND, SECOND // 10) if robots.queries(now) == [Query(KEY)]]
     pauses = [later - earlier for earlier, later in pairwise(asked)]
@@ -38,7 +37,6 @@ def test_a_new_robot_is_asked_at_once_and_again_ever_more_rarely() -> None:
 
 
 def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Names can be made up without end; the robots that came first keep their places."""
     monkeypatch.setattr(robots_module, "ROBOT_LIMIT", 2)
     robots = Robots("x", "1.0")
     assert [robots.see("fleet", f"r{number}", 0) for number in (0, 1, 2, 0)] == ["r0", "r1", "r2", "r0"]
@@ -51,7 +49,6 @@ def test_robots_beyond_the_limit_are_neither_asked_nor_described(monkeypatch: py
 
 
 def test_an_answer_becomes_metadata_and_attachments() -> None:
-    """Variant, versions and hash as metadata; configuration and DBC as attachments; no more questions."""
     robots = seen()
     robots.queries(0)
     effects = robots.receive_info("cruiser-1", info(), WALL_NS)
@@ -74,7 +71,6 @@ def test_an_answer_becomes_metadata_and_attachments() -> None:
 
 
 def test_a_robot_whose_variant_is_unknown_is_asked_again() -> None:
-    """The DBC comes with the variant; what was attached already is not attached again."""
     robots = seen()
     robots.queries(0)
     first = robots.receive_info("cruiser-1", info(Variant.UNKNOWN, dbc=""), WALL_NS)
@@ -87,7 +83,6 @@ def test_a_robot_whose_variant_is_unknown_is_asked_again() -> None:
 
 
 def test_layouts_are_those_of_the_robot_and_its_bus() -> None:
-    """Under its root; they are attached again where the bus is another one, and only then."""
     robots = Robots("x", "1.0")
     robots.see("depot/hall-2", "cruiser-1", 0)
     effects = robots.receive_info("cruiser-1", info(), WALL_NS)
@@ -99,7 +94,6 @@ def test_layouts_are_those_of_the_robot_and_its_bus() -> None:
 
 
 def test_a_gateway_that_began_anew_is_asked_again() -> None:
-    """It may be another version; the same answer adds nothing to the log. Restarts in a row ask once."""
     robots = seen()
     robots.receive_info("cruiser-1", info(), WALL_NS)
     robots.see_restart("cruiser-1", 5)
@@ -110,7 +104,6 @@ def test_a_gateway_that_began_anew_is_asked_again() -> None:
 
 
 def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
-    """The second is called by its root too."""
     robots = seen()
     assert robots.see("other/base", "cruiser-1", 0) == "other/base/cruiser-1"
     assert robots.see("fleet", "cruiser-1", 0) == "cruiser-1"
@@ -118,7 +111,7 @@ def test_robots_of_one_name_under_two_roots_are_told_apart() -> None:
 
 
 def test_a_log_is_filed_under_its_robot_as_long_as_it_has_but_one() -> None:
-    """Foxglove reads the last record of the name: of a log of several robots that one names none."""
+    """Foxglove reads the last record of the name; for several robots it is empty."""
     robots = Robots("x", "1.0")
     assert [one for one in robots.describe() if one != WriteMetadata("x", "cruiser", ANYBODY, lasts=True)] == []
     robots.see("fleet", "cruiser-1", 0)

@@ -20,7 +20,6 @@ LINES, OTHERS = TEXT.splitlines(keepends=True), ANOTHER.splitlines(keepends=True
 
 
 def test_it_is_read_as_it_was_written() -> None:
-    """And fits the key of its grant."""
     found = LogSignature.read(TEXT)
     assert found is not None
     assert (found.sha256, found.file, found.key) == (SHA256, "x.mcap", RECORDER.key)
@@ -29,7 +28,6 @@ def test_it_is_read_as_it_was_written() -> None:
 
 @pytest.mark.parametrize("line", [1, 2])
 def test_lines_of_two_signatures_do_not_fit(line: int) -> None:
-    """Neither another log's line of sums, nor another recorder's signature."""
     other = LogSigner(Identity(RECORDER.private, RECORDER.chain, FLEET.trust)).sign(SHA256[::-1], "x.mcap")
     found = LogSignature.read(b"".join([*LINES[:line], other.splitlines(keepends=True)[line], *LINES[line + 1 :]]))
     assert found is not None
@@ -52,5 +50,4 @@ def test_lines_of_two_signatures_do_not_fit(line: int) -> None:
     ],
 )
 def test_what_is_in_another_form_is_none(text: bytes) -> None:
-    """Whoever wrote it: nothing raises."""
     assert LogSignature.read(text) is None

@@ -1,4 +1,4 @@
-"""The statements that each file of a log holds."""
+"""The statements in each file of a log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ def entries(actions: list[LogAction]) -> dict[str, str]:
 
 
 def test_what_the_robots_have_shown_is_written_once() -> None:
-    """Until one shows something new; what is repeated keeps the time of its first."""
     statements = Statements("log")
     assert statements.describe() == []
     statements.receive("fleet/a", "one", 10)
@@ -45,7 +44,6 @@ def test_what_the_robots_have_shown_is_written_once() -> None:
 
 
 def test_statements_that_somebody_makes_up_take_a_bounded_room() -> None:
-    """The one that was not repeated for longest goes."""
     statements = Statements("log")
     for number in range(200):
         statements.receive("fleet/a", "in force", 1)
@@ -59,7 +57,6 @@ def test_statements_that_somebody_makes_up_take_a_bounded_room() -> None:
 
 @pytest.mark.parametrize("forge", ["junk", "of another authority", "in the authority's name"])
 def test_what_nobody_signed_displaces_nothing_that_the_authority_did(forge: str) -> None:
-    """However much of it there is, and however long each is. It may displace its like."""
     fleet, forger = Fleet(), Fleet()
     grant, revoked = chain_text(fleet.operator().chain), fleet.authority.revoke(1).text()
     statements = Statements("log", StatementProofs(fleet.trust))
@@ -79,7 +76,6 @@ def test_what_nobody_signed_displaces_nothing_that_the_authority_did(forge: str)
 
 
 def test_what_was_not_verified_at_once_is_proven_when_it_is_repeated() -> None:
-    """A flood takes up what is verified in a tick; the robot repeats each minute what is in force."""
     fleet = Fleet()
     lists = [fleet.authority.revoke(serial).text() for serial in range(1, 2 * VERIFIED_PER_TICK + 1)]
     statements = Statements("log", StatementProofs(fleet.trust))
@@ -93,7 +89,6 @@ def test_what_was_not_verified_at_once_is_proven_when_it_is_repeated() -> None:
 
 
 def test_what_the_authority_after_a_rotation_signs_is_proven() -> None:
-    """As soon as the rotation was shown, and what the one before it signed still is."""
     fleet, active, standby = Fleet(), Party("new"), Party("newer")
     before = fleet.authority.revoke(1).text()
     rotation = fleet.standby.rotate(1, active, standby).text()
@@ -111,7 +106,6 @@ def test_what_the_authority_after_a_rotation_signs_is_proven() -> None:
     "text", ["x" * (STATEMENTS_MAX_BYTES + 1), "x" * (TEXT_MAX_BYTES + 1), "é" * TEXT_MAX_BYTES]
 )
 def test_a_text_that_is_too_long_for_a_statement_displaces_none(text: str) -> None:
-    """No robot takes over one that is longer; anybody who may publish under its name can send one."""
     statements = Statements("log")
     statements.receive("fleet/a", "in force", 1)
     statements.receive("fleet/a", text, 2)
@@ -123,7 +117,6 @@ RUN_S = 8
 
 
 def recorded(bench: RecorderRig, fleet: Fleet) -> list[Message]:
-    """Have a signed run recorded, with a split after half of it and a mark near its end."""
     run, _ = driven(fleet, RUN_S)
     for number, message in enumerate(run.samples):
         bench.now_ns = message.time_ns - NOW_S * S
@@ -140,7 +133,6 @@ def recorded(bench: RecorderRig, fleet: Fleet) -> list[Message]:
 
 @pytest.mark.parametrize("log", ["cruiser-1", "cruiser-1!"])
 def test_a_file_that_begins_later_holds_what_proves_it(bench: RecorderRig, tmp_path: Path, log: str) -> None:
-    """As the second part of a log, and an incident: they are whole without a message of the robot's grant."""
     fleet = Fleet()
     samples = recorded(bench, fleet)
     file = bench.writer.files[log][-1]
@@ -158,7 +150,7 @@ def test_a_file_that_begins_later_holds_what_proves_it(bench: RecorderRig, tmp_p
 
 
 def verified_without_them(directory: Path, file: MemoryFile) -> RobotProofReport:
-    """What is proven of a file whose metadata somebody took out."""
+    """Verify a file without its metadata."""
     data = file.disk.getvalue().replace(STATEMENTS_NAME.encode(), b"cruiser.somethings")
     faults = Faults()
     (report,) = verify_logs(find_logs([saved(directory / "without.mcap", data)], faults), faults)
@@ -167,7 +159,6 @@ def verified_without_them(directory: Path, file: MemoryFile) -> RobotProofReport
 
 @pytest.mark.parametrize("name", ["", "fleet/a", "fleet/a x 0", "fleet/a -1 0", "fleet/a " + 30 * "9"])
 def test_entries_of_another_form_are_passed_over(tmp_path: Path, name: str) -> None:
-    """Anybody may write a log."""
     entries = {name: "junk", "fleet/a 12 0": "text"}
     path = saved(tmp_path / "log.mcap", mcap_log([], [], [(STATEMENTS_NAME, entries)]))
     faults = Faults()

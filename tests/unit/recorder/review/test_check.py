@@ -1,4 +1,4 @@
-"""Whether a log is what it says, and what it lacks."""
+"""The check of a log's file and of its data."""
 
 import itertools
 import struct
@@ -74,7 +74,7 @@ def said(found: LogCheck, about: About | None = None) -> list[str]:
 
 
 def rebuilt(change: Callable[[records.McapRecord], records.McapRecord | None], data: bytes = LOG) -> bytes:
-    """A log with records changed or left out, all checksums right again; what its end says stays as it was."""
+    """A log with records changed or left out, with correct checksums and its old summary."""
     out = bytearray(MAGIC)
     at, last, summary_start = len(MAGIC), b"", 0
     while at < len(data) - len(MAGIC):
@@ -193,7 +193,7 @@ WHOLE = "the file's first and last time are not those of its messages"
 def test_a_file_that_says_what_is_not_so_is_found_out(
     kind: type, edit: Callable[[records.McapRecord], None], what: str
 ) -> None:
-    """Each of these with all checksums right: none would be seen by them."""
+    """All checksums are right."""
     found = check(first_of(kind, edit))
     assert what in said(found, About.FILE)
     assert not found.whole
@@ -212,14 +212,12 @@ def test_a_file_that_says_what_is_not_so_is_found_out(
     ],
 )
 def test_what_is_left_out_is_noticed(kind: type, what: str) -> None:
-    """Every record of a kind, and nothing else: what is put together anew is as it was."""
     assert rebuilt(lambda record: record) == LOG
     found = check(rebuilt(lambda record: None if isinstance(record, kind) else record))
     assert what in said(found, About.FILE)
 
 
 def test_a_log_time_that_goes_backwards_is_found_within_and_between_chunks() -> None:
-    """Counted each time; equal times are fine."""
     chunks = [
         [gear_message(number, time_ns) for number, time_ns in enumerate((5, 5, 3, 4, 2))],
         [gear_message(5, 1), gear_message(6, 9)],
@@ -232,7 +230,6 @@ def test_a_log_time_that_goes_backwards_is_found_within_and_between_chunks() -> 
 
 
 def test_what_a_recorder_says_itself_may_have_waited() -> None:
-    """For a file that it goes into; the others' times are judged without it."""
     own = LogChannel(2, "fleet/@recorder/bench/event/log", schema_name(Gear), descriptor_set(Gear))
     chunks = [
         [gear_message(0, 10), gear_message(0, 5, 2), gear_message(1, 20)],
@@ -245,7 +242,6 @@ def test_what_a_recorder_says_itself_may_have_waited() -> None:
 
 
 def test_messages_that_are_not_what_their_schema_says_are_found() -> None:
-    """Of ours by their layout, and each looked at where that is in doubt."""
     good = ENCODE_GEAR(gear(0))
     broken = [
         (1, 1, 20, good[:-1]),
@@ -264,7 +260,6 @@ def test_messages_that_are_not_what_their_schema_says_are_found() -> None:
 
 
 def test_an_older_versions_schema_is_told_and_its_messages_are_read_by_it() -> None:
-    """The file's own schema is what its messages are held against."""
     other = LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(CanFrame).replace(b"CanFrame", b"Gear"))
     descriptors = descriptor_set(Gear).replace(b"alive_counter", b"alive_numberx")
     changed = LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptors)
@@ -277,7 +272,6 @@ def test_an_older_versions_schema_is_told_and_its_messages_are_read_by_it() -> N
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("use_chunking", [True, False])
 def test_files_of_others_are_sound(compression: CompressionType, use_chunking: bool) -> None:  # noqa: FBT001 - a parameter
-    """In every compression, with schemas and channels in the chunks, and with nothing in chunks at all."""
     found = check(foreign_log(compression=compression, use_chunking=use_chunking))
     assert found.findings == []
     assert (found.messages, found.channels[0].is_read) == (10, True)
@@ -304,12 +298,10 @@ def test_files_of_others_are_sound(compression: CompressionType, use_chunking: b
     ],
 )
 def test_files_of_others_may_be_wrong_too(given: dict[str, object], what: list[str]) -> None:
-    """Schemas, messages, channels without a schema."""
     assert said(check(foreign_log(**given))) == what  # type: ignore[arg-type]  # each is right for its name
 
 
 def test_losses_are_about_the_data_and_the_file_is_whole() -> None:
-    """Samples by the gaps in sequence, raw frames by their alive counters; neither where it says nothing."""
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in (0, 3, 4)))
     frames = [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(40) if number not in {5, 20, 21}]
@@ -338,7 +330,6 @@ def test_losses_are_about_the_data_and_the_file_is_whole() -> None:
 @pytest.mark.parametrize("away_ms", [40, 700, 20_000])
 @pytest.mark.parametrize("is_one_chunk", [True, False])
 def test_the_time_without_a_gateway_is_no_loss_on_the_way(away_ms: int, *, is_one_chunk: bool) -> None:
-    """One that was killed, and another that counts its batches anew; what either lost is told all the same."""
     log = Log()
     frames = [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(60) if number not in {5, 45}]
     away = [(at_ns + away_ms * MS, data) for at_ns, data in frames[29:]]
@@ -358,7 +349,6 @@ def test_the_time_without_a_gateway_is_no_loss_on_the_way(away_ms: int, *, is_on
 
 
 def test_two_gateways_under_one_name_are_told_and_no_loss_is_made_up() -> None:
-    """Their samples and frames stand among each other, by turns."""
     log = Log()
     for number in range(30):
         for start, behind_ns in ((0, 0), (5000, 3 * MS)):
@@ -373,7 +363,6 @@ def test_two_gateways_under_one_name_are_told_and_no_loss_is_made_up() -> None:
 
 
 def test_what_the_recorder_could_not_write_is_about_the_data() -> None:
-    """As it says itself, by key and reason."""
     log = Log()
     log.receive(sample_of(gear(0)))
     for number, count in enumerate((3, 4)):
@@ -385,7 +374,6 @@ def test_what_the_recorder_could_not_write_is_about_the_data() -> None:
 
 
 def test_every_flipped_byte_is_found() -> None:
-    """No damage goes unseen."""
     for place in range(len(MAGIC), len(LOG)):
         damaged = bytearray(LOG)
         damaged[place] ^= 1 << place % 8
@@ -395,14 +383,12 @@ def test_every_flipped_byte_is_found() -> None:
 @example(noise=b"\x05", place=0)
 @given(st.binary(max_size=200), st.integers(0, 10_000))
 def test_nothing_that_a_file_may_hold_raises(noise: bytes, place: int) -> None:
-    """Noise in place of a file's bytes, or of the file."""
     place = len(MAGIC) + place % (len(LOG) - len(MAGIC))
     check(LOG[:place] + noise + LOG[place + len(noise) :])
     check(MAGIC + noise)
 
 
 def test_many_findings_are_counted_and_the_first_are_told() -> None:
-    """Output does not grow with the damage."""
     findings = Findings("x")
     for number in range(FINDINGS_MAX + 7):
         findings.file(f"{number}")
@@ -413,7 +399,6 @@ def test_many_findings_are_counted_and_the_first_are_told() -> None:
 
 @pytest.mark.parametrize("without", [(), ("journal",)])
 def test_a_step_of_the_robots_clock_is_no_loss(without: tuple[str, ...]) -> None:
-    """Over a gap of more than a minute whole rounds of a counter are not judged."""
     found = check(scenarios.stepped_clock(steps_recorder=True).log(without=without))
     assert (found.frames_lost, found.frames[0].outages) == (0, 1)
 
@@ -437,7 +422,6 @@ def receive(count: AliveCount, *frames: tuple[float, int]) -> AliveCount:
 
 @given(st.integers(0, 15), st.lists(st.booleans(), min_size=1, max_size=200))
 def test_what_is_lost_is_counted_exactly_while_gaps_are_short(first: int, arrives: list[bool]) -> None:
-    """Any pattern of losses without a gap of 16 periods."""
     numbers = [0]
     for number, comes in enumerate(arrives, start=1):
         if comes or number - numbers[-1] == COUNTER_SPAN - 1:
@@ -452,7 +436,7 @@ def test_what_is_lost_is_counted_exactly_while_gaps_are_short(first: int, arrive
 def test_across_a_long_gap_the_counter_decides_and_the_period_only_says_how_often_it_went_round(
     gap: int, counter: int
 ) -> None:
-    """Of all numbers that fit the counter, the one that is nearest to what the period says."""
+    """Of all numbers that fit the counter, the one nearest to the elapsed periods."""
     count = receive(gear_count(), (0, 0), (gap, counter))
     fitting = range((counter - 1) % COUNTER_SPAN, gap + COUNTER_SPAN, COUNTER_SPAN)
     nearest = min(abs(lost - (gap - 1)) for lost in fitting)
@@ -478,7 +462,6 @@ def test_across_a_long_gap_the_counter_decides_and_the_period_only_says_how_ofte
 def test_what_the_counter_cannot_tell(
     frames: list[tuple[float, int]], lost: int, repeated: int, outages: int, unseen: int
 ) -> None:
-    """Is told as what it is."""
     count = receive(gear_count(), *frames)
     assert (count.lost, count.repeated, count.outages, count.unseen) == (lost, repeated, outages, unseen)
 
@@ -488,7 +471,7 @@ STALLS = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 120)), max_size=
 
 
 def arrivals(sent: list[int], stalls: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """When each of these frames is received, in order: what comes in a stall comes at its end, all at once."""
+    """The time of receipt of each frame, in order; frames of a stall arrive at its end."""
     received = []
     for number in sent:
         at = number
@@ -500,7 +483,6 @@ def arrivals(sent: list[int], stalls: list[tuple[int, int]]) -> list[tuple[int, 
 
 @given(st.integers(0, 15), STALLS)
 def test_frames_that_come_late_and_all_at_once_are_not_lost(first: int, stalls: list[tuple[int, int]]) -> None:
-    """All are in the log, with an unbroken counter, whatever the times are."""
     count = receive(gear_count(), *((at, first + number) for at, number in arrivals(list(range(600)), stalls)))
     assert (count.frames, count.lost, count.unseen, count.repeated) == (600, 0, 0, 0)
 
@@ -509,7 +491,6 @@ def test_frames_that_come_late_and_all_at_once_are_not_lost(first: int, stalls: 
 def test_lost_frames_are_counted_as_often_as_the_counter_went_round(
     stalls: list[tuple[int, int]], start: int, length: int
 ) -> None:
-    """A true loss is told, though frames before and behind it came late; the one right before it came in time."""
     sent = [number for number in range(1000) if not start <= number < start + length]
     apart = [(at, stall) for at, stall in stalls if at + stall < start or at >= start + length]
     count = receive(gear_count(), *arrivals(sent, apart))
@@ -518,7 +499,6 @@ def test_lost_frames_are_counted_as_often_as_the_counter_went_round(
 
 @given(st.integers(0, 15), st.integers(0, 400))
 def test_what_came_between_two_gateways_is_not_counted(counter: int, periods: int) -> None:
-    """Whatever the counter is then; a gap of before is judged with what had come."""
     count = receive(gear_count(), *((number, number) for number in (0, 1, 2, 40, 41)))
     lost = count.lost + count.unseen
     assert lost == 37
@@ -537,7 +517,6 @@ def frame(number: int, identifier: int = GEAR_FEEDBACK, data: bytes | None = Non
 
 
 def take(count: FrameCount, records: list[bytes]) -> list[int]:
-    """What is no frame among these messages, which stand one behind the other."""
     lengths = np.array([len(one) for one in records], np.int64)
     head = bytes(MESSAGE_HEADER.size)
     content = np.frombuffer(b"".join(head + one for one in records) + bytes(PADDING), np.uint8)
@@ -545,7 +524,6 @@ def take(count: FrameCount, records: list[bytes]) -> list[int]:
 
 
 def counts(*batches: list[CanFrame]) -> list[tuple[object, ...]]:
-    """What is counted of frames that come in these batches."""
     count = FrameCount()
     for frames in batches:
         assert take(count, [ENCODE(one) for one in frames]) == []
@@ -563,12 +541,10 @@ FRAMES = st.builds(
 
 @given(st.lists(st.lists(FRAMES, min_size=1, max_size=20), max_size=5))
 def test_many_at_once_count_as_each_by_itself(batches: list[list[CanFrame]]) -> None:
-    """In any order, corrupt ones among them, of any length and bus."""
     assert counts(*batches) == counts(*([one] for batch in batches for one in batch))
 
 
 def test_records_that_are_no_frames_are_told() -> None:
-    """By their places; the others count."""
     count = FrameCount()
     good = ENCODE(frame(0))
     assert take(count, [good, b"\xff", ENCODE(frame(1)), b"\x0f" * len(good)]) == [1, 3]
@@ -587,14 +563,12 @@ OTHER = "fleet/cruiser-2/chassis/gear"
 
 
 def add(line: InTimeCount, messages: list[tuple[int, int]]) -> None:
-    """Count messages, by their sequences and publish times."""
     if messages:
         sequences, times_ns = zip(*messages, strict=True)
         line.take(np.array(sequences, np.int64), np.array(times_ns, np.uint64))
 
 
 def gaps_of(messages: list[tuple[int, int]]) -> list[tuple[int, int, int | None]]:
-    """The gaps: the sequences around each, and what is missing."""
     line = InTimeCount()
     add(line, messages[: len(messages) // 3])
     add(line, messages[len(messages) // 3 :])
@@ -603,7 +577,6 @@ def gaps_of(messages: list[tuple[int, int]]) -> list[tuple[int, int, int | None]
 
 @given(st.sets(st.integers(0, 120), min_size=1), st.integers(0, SEQUENCE_SPAN - 1), st.randoms())
 def test_what_is_missing_is_found_in_any_order(there: set[int], start: int, chooser: object) -> None:
-    """Each gap, its ends and its size, across the end of the numbers too."""
     messages = [((start + number) % SEQUENCE_SPAN, number * SECOND) for number in sorted(there)]
     ordered = sorted(there)
     expected = [
@@ -645,17 +618,15 @@ WOVEN = [(number, number * SECOND) for pair in zip(range(40), range(40, 80), str
 def test_a_gap_is_told_with_what_is_around_it(
     messages: list[tuple[int, int]], gaps: list[tuple[int, int, int | None]]
 ) -> None:
-    """None is missing where another gateway began."""
     assert gaps_of(messages) == gaps
 
 
 def ends(first: int, last: int, start: int = 0) -> ChannelEnds:
-    """A channel's, of which a message came each nanosecond, the one of sequence 0 at ``start``."""
+    """Ends of a channel with a message each nanosecond; sequence 0 was at ``start``."""
     return ChannelEnds(first % 2**32, last % 2**32, start + first, start + last)
 
 
 def test_the_samples_of_a_robot_are_one_answer() -> None:
-    """Those of all its keys together, with the logs before and after, and from when to when."""
     found = between(
         [
             ("b", {GEAR_TOPIC: ends(15, 20), STEERING: ends(13, 20)}),
@@ -670,7 +641,6 @@ def test_the_samples_of_a_robot_are_one_answer() -> None:
 
 @given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 5)), min_size=1, max_size=8), st.randoms())
 def test_what_was_left_out_is_found(parts: list[tuple[int, int]], shuffle: Random) -> None:
-    """However many logs there are, in whatever order, and where the sequence wraps."""
     logs, at, left_out = [], 2**32 - 40, 0
     for number, (length, gap) in enumerate(parts):
         logs.append((str(number), {GEAR_TOPIC: ends(at, at + length)}))
@@ -692,7 +662,6 @@ def test_what_was_left_out_is_found(parts: list[tuple[int, int]], shuffle: Rando
 def test_logs_that_overlap_or_are_of_another_gateway_lack_nothing(
     logs: list[tuple[str, dict[str, ChannelEnds]]],
 ) -> None:
-    """As far as that can be known."""
     assert between(logs) == []
 
 
@@ -713,7 +682,6 @@ def test_logs_that_overlap_or_are_of_another_gateway_lack_nothing(
 def test_what_follows_each_other_is_counted(
     sequences: list[int], missed: int | None, first: int | None, parts: int
 ) -> None:
-    """In however many pieces it comes; ``first`` is the message behind the first gap."""
     count = FollowingCount()
     for part in np.array_split(np.array(sequences), parts):
         if len(part):

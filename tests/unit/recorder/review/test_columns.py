@@ -1,7 +1,4 @@
-"""The record batches of a log: the same as one message after the other by the protobuf package.
-
-Topics of others: protobuf by its descriptors, JSON as text, and what nobody here can read as bytes.
-"""
+"""The record batches of a log, compared with the protobuf package's messages."""
 
 import struct
 from collections.abc import Sequence
@@ -53,7 +50,7 @@ def rows_of(batches: Sequence[Batch]) -> list[dict[str, Any]]:
 
 
 def typed_row(kind: type[msgspec.Struct], data: bytes) -> dict[str, Any]:
-    """The same message by the protobuf package and the typed class, as JSON; the sequence is the record's."""
+    """The message by the protobuf package and the typed class, as JSON."""
     row: dict[str, Any] = msgspec.to_builtins(typed_decoder(kind)(data))
     row.pop("sequence", None)
     if kind.__name__ == "RecorderEvent":
@@ -71,7 +68,7 @@ KINDS = pytest.mark.parametrize("kind", LOGGED, ids=schema_name)
 
 
 def as_protobuf_writes(kind: type[msgspec.Struct], data: bytes) -> bytes:
-    """The same message in the protobuf package's own form: in order, without defaults."""
+    """The message in the protobuf package's own form: in order, without defaults."""
     parsed: Any = message_class(kind).FromString(data)
     return bytes(parsed.SerializeToString(deterministic=True))
 
@@ -80,7 +77,6 @@ def as_protobuf_writes(kind: type[msgspec.Struct], data: bytes) -> bytes:
 @settings(max_examples=settings().max_examples // 2)
 @given(data=st.data())
 def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct], data: st.DataObject) -> None:
-    """For every class in a log: what a recorder writes, and another writer, in one batch."""
     drawn = data.draw(st.lists(message_of(cast("type[Message]", kind)), min_size=1, max_size=4))
     messages = [encoded(message) for message in drawn]
     messages += [as_protobuf_writes(kind, one) for one in messages]
@@ -90,7 +86,6 @@ def test_columns_are_what_the_protobuf_package_reads(kind: type[msgspec.Struct],
 
 
 def test_a_number_without_a_name_is_its_digits() -> None:
-    """A newer gateway may know more gears; before and behind the others nothing shifts."""
     data = encoded(gear(0))
     position = data.index(b"\x28\x04") + 1
     newer = data[:position] + b"\x63" + data[position + 1 :]
@@ -100,7 +95,6 @@ def test_a_number_without_a_name_is_its_digits() -> None:
 
 
 def test_what_is_no_such_message_is_counted_and_left_out() -> None:
-    """Bytes that nobody can read, a text that is no UTF-8, a number beyond its bounds."""
     good = encoded(gear(7))
     beyond = good.replace(struct.pack("<Q", WALL_NS), b"\xff" * 8)
     assert beyond != good
@@ -118,7 +112,6 @@ def test_what_is_no_such_message_is_counted_and_left_out() -> None:
 
 
 def test_only_what_is_wanted_is_read() -> None:
-    """Topics and times."""
     messages = [(1 + number % 2, encoded(gear(number))) for number in range(40)]
     data = numbered_log([channel_of(Gear, 1, "a"), channel_of(Gear, 2, "b")], [messages])
     selection = Selection(lambda topic: topic.name == "b", WALL_NS + 10, WALL_NS + 20)
@@ -176,7 +169,6 @@ def foreign_file() -> FileDescriptorProto:
 
 
 def made(file: FileDescriptorProto, name: str) -> tuple[Any, bytes]:
-    """The protobuf package's class, and the schema's bytes."""
     files = [FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb), file]
     pool = DescriptorPool()
     for one in files:
@@ -226,7 +218,6 @@ def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
 
 @given(st.lists(messages(), min_size=1, max_size=3))
 def test_every_kind_of_field_of_others_is_read(drawn: list[Any]) -> None:
-    """By the descriptors in the log."""
     rows = [fields_of(row) for row in rows_of(batches_of(one_chunk([one.SerializeToString() for one in drawn])))]
     assert repr(rows) == repr([expected(one) for one in drawn])
 
@@ -236,7 +227,7 @@ def one_chunk(data: list[bytes]) -> bytes:
 
 
 def wires() -> dict[str, bytes]:
-    """Legal ways to write a message that a recorder never takes."""
+    """Legal encodings of a message that a recorder never uses."""
     one = ALL(f_fixed32=7, f_string="x").SerializeToString()
     return {
         "a field twice": one + ALL(f_fixed32=9).SerializeToString(),
@@ -266,7 +257,6 @@ def _unpacked() -> bytes:
 
 @pytest.mark.parametrize("wire", wires())
 def test_every_legal_way_to_write_is_read(wire: str) -> None:
-    """As the protobuf package reads it."""
     data = wires()[wire]
     rows = rows_of(batches_of(one_chunk([data])))
     assert [fields_of(row) for row in rows] == [expected(ALL.FromString(data))]
@@ -278,7 +268,6 @@ def test_whatever_the_bytes_are_what_protobuf_reads_is_read(
     message: Any,  # noqa: ANN401
     damage: list[tuple[float, bytes]],
 ) -> None:
-    """The same row between two others; and what it cannot read never costs another message."""
     good = message.SerializeToString()
     data = good
     for place, noise in damage:
@@ -293,7 +282,7 @@ def test_whatever_the_bytes_are_what_protobuf_reads_is_read(
 
 
 def test_what_a_library_panics_at_cannot_be_read() -> None:
-    """A text that would be as long as a number can say: ptars 0.0.25 ends in what Rust calls a panic."""
+    """The library ptars 0.0.25 panics at a text of the greatest length."""
     good = ALL(f_int32=5).SerializeToString()
     faults = Faults()
     endless = _tag("f_string", 2) + b"\xff" * 9 + b"\x01"
@@ -303,7 +292,6 @@ def test_what_a_library_panics_at_cannot_be_read() -> None:
 
 
 def test_json_is_text() -> None:
-    """As it stands in the log; what is no UTF-8 is counted."""
     faults = Faults()
     log = numbered_log(
         [channel(b"{}", "s", "json", "jsonschema")], [[(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]]
@@ -320,13 +308,11 @@ def test_json_is_text() -> None:
     ids=["ros 2", "broken descriptors", "a class that they lack"],
 )
 def test_what_nobody_can_read_is_bytes(one: LogChannel) -> None:
-    """Of any encoding, and of protobuf whose schema is of no use."""
     rows = rows_of(batches_of(numbered_log([one], [[(1, b"\x00abc")]])))
     assert [fields_of(row) for row in rows] == [{"data": "AGFiYw=="}]
 
 
 def test_no_two_columns_have_one_name() -> None:
-    """Every table has its times and its sequence, a dataset its directories; SQL knows no upper case."""
     file = FileDescriptorProto(name="names.proto", package="other", syntax="proto3")
     message = file.message_type.add(name="Names")
     names = ["sequence", "Log_Time", "robot", "speed", "Speed", "message_robot"]
@@ -342,7 +328,6 @@ def test_no_two_columns_have_one_name() -> None:
 
 
 def test_a_class_within_itself_is_kept_as_bytes() -> None:
-    """No column has a type without end."""
     file = FileDescriptorProto(name="tree.proto", package="other", syntax="proto3")
     message = file.message_type.add(name="Tree")
     message.field.add(name="value", number=1, type=F.TYPE_INT32, label=F.LABEL_OPTIONAL)

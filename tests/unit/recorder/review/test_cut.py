@@ -36,7 +36,6 @@ LOG = own_log(
 def part(
     directory: Path, data: bytes, period: tuple[int, int] = ALWAYS, *topics: str, told: Faults | None = None
 ) -> tuple[CutLog, Read]:
-    """A part of a file with this content; and what the mcap package reads of it. ``told`` takes its faults."""
     faults = Faults() if told is None else told
     out = directory / "out.mcap"
     out.unlink(missing_ok=True)
@@ -66,7 +65,6 @@ def part(
 def test_a_time_begins_with_its_first_and_ends_before_its_last(
     tmp_path: Path, period: tuple[int, int], expected: list[int]
 ) -> None:
-    """By log time."""
     made, read = part(tmp_path, LOG, period, GEAR_TOPIC)
     assert [message[1] for message in read.messages] == list(expected)
     assert (made.messages, made.channels) == (len(list(expected)), 1)
@@ -85,14 +83,12 @@ def test_a_time_begins_with_its_first_and_ends_before_its_last(
     ],
 )
 def test_topics_are_chosen_by_patterns(tmp_path: Path, topics: list[str], expected: set[str]) -> None:
-    """Channels that are not wanted are not declared, nor are their schemas."""
     _, read = part(tmp_path, LOG, ALWAYS, *topics)
     assert {channel.topic for channel in read.channels} == {message[0] for message in read.messages} == expected
     assert len(read.schemas) == len(expected)
 
 
 def test_it_is_complete_in_itself_and_says_what_it_is(tmp_path: Path) -> None:
-    """Metadata and attachments are there, and where it was cut."""
     _, read = part(tmp_path, LOG, (120, 320), "*/gear")
     assert [(one.name, one.data) for one in read.attachments] == [("x", b"abc")]
     metadata = {one.name: one.metadata for one in read.metadata}
@@ -111,7 +107,6 @@ def test_files_of_others_are_copied_as_they_are(
     schema: tuple[str, str, bytes] | None,
     use_chunking: bool,  # noqa: FBT001 - a parameter
 ) -> None:
-    """Encodings, schemas, metadata of channels, the header's profile; with no word of ours about them."""
     data = foreign_log(
         range(100),
         encoding="cdr",
@@ -134,7 +129,6 @@ def test_files_of_others_are_copied_as_they_are(
 
 
 def test_any_noise_still_makes_a_whole_file(tmp_path: Path) -> None:
-    """Random damage, many times over: never a traceback, and the result is sound."""
     generator = random.Random(3)  # noqa: S311 - nothing here is secret
     for data in (small_log(), small_log()[:-300], foreign_log(use_chunking=False), foreign_log()):
         for _ in range(15):
@@ -146,7 +140,6 @@ def test_any_noise_still_makes_a_whole_file(tmp_path: Path) -> None:
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """Neither a file nor a part; and both are as they were."""
     [log] = find_logs([saved(tmp_path / "a.mcap", small_log())], Faults())
     for name in ("out.mcap", "out.mcap.part"):
         path = saved(tmp_path / name, b"precious")
@@ -160,7 +153,6 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_whoever_is_told_to_stop_leaves_nothing(tmp_path: Path) -> None:
-    """At the first Ctrl-C."""
     log = saved(tmp_path / "in" / "a.mcap", own_log([gears(0, 3, 10)]))
     with pytest.raises(KeyboardInterrupt):
         review("cut", str(log), "-o", str(tmp_path / "out.mcap"), is_stopped=True)

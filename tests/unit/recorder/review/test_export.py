@@ -1,4 +1,4 @@
-"""Logs as a dataset, as others read it, and as CSV."""
+"""Logs as a dataset, read by other tools, and as CSV."""
 
 import csv
 import json
@@ -68,7 +68,6 @@ def manifest_of(directory: Path) -> Manifest:
 
 
 def rows_by_topic(directory: Path) -> Counter[str]:
-    """Rows that are in the files, by the log's topic."""
     count: Counter[str] = Counter()
     for part in manifest_of(directory).files:
         count[part.topic] += pq.read_metadata(directory / part.path).num_rows
@@ -80,7 +79,6 @@ def contents(directory: Path) -> dict[str, bytes]:
 
 
 def test_every_message_is_a_row_and_the_manifest_says_what_is_there(tmp_path: Path) -> None:
-    """Of every topic as many as the mcap package reads; inputs with hashes, files with rows, columns and units."""
     log = saved(tmp_path / "log.mcap", drive_log())
     done = export([log], tmp_path / "out")
     with log.open("rb") as stream:
@@ -96,7 +94,6 @@ def test_every_message_is_a_row_and_the_manifest_says_what_is_there(tmp_path: Pa
 
 
 def test_others_read_it_as_hive_names_it(tmp_path: Path) -> None:
-    """Topic, robot and day are directories, and come back as they were."""
     logs = [saved(tmp_path / f"{robot}.mcap", drive_log(robot)) for robot in ("cruiser-1", "cruiser-2")]
     export(logs, tmp_path / "out")
     assert (tmp_path / "out/topic=chassis%2Fgear/robot=cruiser-2/date=2027-01-15").is_dir()
@@ -108,7 +105,6 @@ def test_others_read_it_as_hive_names_it(tmp_path: Path) -> None:
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:
-    """A dataset is refused, and so is a directory that holds something else; both stay as they are."""
     log = saved(tmp_path / "log.mcap", drive_log())
     export([log], tmp_path / "out")
     saved(tmp_path / "other" / "letter.txt", b"dear")
@@ -120,7 +116,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 class FailingRunner:
-    """Does the first task, and then the disk is full."""
+    """Runs the first task; then the disk is full."""
 
     def __call__(
         self, act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
@@ -130,7 +126,6 @@ class FailingRunner:
 
 
 def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    """The next one finds an empty directory; what a killed one left in it is in nobody's way."""
     first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
     with pytest.raises(CommandError, match="No space left"):
         export([first, second], tmp_path / "out", run=FailingRunner())
@@ -142,7 +137,6 @@ def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["parquet", "csv", "candump"])
 def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path, form: str) -> None:
-    """Ctrl-C, once: half a file is not taken for all of a drive."""
     log = saved(tmp_path / "1.mcap", drive_log())
     with pytest.raises(KeyboardInterrupt):
         review("export", "--format", form, "-o", tmp_path / "out", log, is_stopped=True)
@@ -151,7 +145,6 @@ def test_an_export_that_is_stopped_leaves_nothing(tmp_path: Path, form: str) -> 
 
 @pytest.mark.parametrize("form", ["parquet", "csv"])
 def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str) -> None:
-    """One line says what to install."""
     for name in [name for name in sys.modules if name.startswith("recorder.review.export")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
@@ -160,7 +153,6 @@ def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_any_number_of_days_are_directories(tmp_path: Path) -> None:
-    """By the log times, in UTC."""
     rows = [(1, n, WALL_NS + n * DAY_NS // 2, WALL_NS, encoded(gear(n))) for n in range(1100)]
     export([saved(tmp_path / "log.mcap", mcap_log([channel_of(Gear)], [rows]))], tmp_path / "out")
     assert {part.rows for part in manifest_of(tmp_path / "out").files} == {2}
@@ -169,7 +161,6 @@ def test_any_number_of_days_are_directories(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("limit", ["FILE_BYTES", "HELD_BYTES"])
 def test_rows_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
-    """File by file, in the order of the log; no more is held than the limits say."""
     monkeypatch.setattr(module, limit, 1)
     monkeypatch.setattr("recorder.review.columns.BATCH_BYTES", 1)
     export([saved(tmp_path / "log.mcap", drive_log(count=200))], tmp_path / "out")
@@ -180,7 +171,6 @@ def test_rows_are_written_as_they_come(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_a_topic_of_any_name_has_a_directory(tmp_path: Path) -> None:
-    """Slashes and signs are escaped as in a URL; a long one is cut, and still tells itself from others."""
     names = ["/../x=*?[%", "", *("/" * 500 + end for end in "ab"), "\u00e9" * 200]
     channels = [channel_of(Gear, number, name) for number, name in enumerate(names, 1)]
     chunk = [(number, encoded(gear(number))) for number in range(1, len(names) + 1)]
@@ -193,7 +183,6 @@ def test_a_topic_of_any_name_has_a_directory(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pattern", ["fleet/cruiser-1/chassis/gear", "chassis/*", "chassis_gear"])
 def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -> None:
-    """The key, what follows the robot in it, or the table."""
     log = saved(tmp_path / "log.mcap", drive_log())
     span = ExportRange([pattern], WALL_NS + 50_000_000, WALL_NS + 100_000_000)
     for number, (wanted, rows) in enumerate(((ExportRange([pattern]), 20), (span, 5))):
@@ -205,7 +194,6 @@ def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -
     ["{", "[]", '{"format": "x"}', json.dumps({"format": "cruiser-dataset", "version": 9, "product": ""})],
 )
 def test_a_manifest_that_cannot_be_read_is_told(tmp_path: Path, text: str) -> None:
-    """One line."""
     saved(tmp_path / MANIFEST_NAME, text.encode())
     with pytest.raises(CommandError, match=MANIFEST_NAME):
         read_manifest(tmp_path)
@@ -215,7 +203,6 @@ def test_a_manifest_that_cannot_be_read_is_told(tmp_path: Path, text: str) -> No
 
 
 def test_csv_is_one_file_a_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All logs' rows under one head; names, times, enumerations, bytes and what is nested as text."""
     monkeypatch.setattr("recorder.review.columns.BATCH_BYTES", 1)
     logs = [saved(tmp_path / f"{first}.mcap", drive_log(first=first)) for first in (0, 20)]
     out = tmp_path / "out"
@@ -230,7 +217,6 @@ def test_csv_is_one_file_a_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_any_topic_is_one_file_name() -> None:
-    """Dots within a chunk are escaped: no two topics have one name."""
     assert file_name("/a.b/c") == "%2Fa%2Eb.c"
     assert file_name("a/b.c") != file_name("a.b/c")
     assert file_name("") == "%"
@@ -273,7 +259,6 @@ CASES: list[tuple[pa.Array, list[Any], list[Any]]] = [
 
 @pytest.mark.parametrize(("array", "as_json", "as_cells"), CASES, ids=lambda case: str(getattr(case, "type", "")))
 def test_every_type_has_its_text(array: pa.Array, as_json: list[Any], as_cells: list[Any]) -> None:
-    """Also of a part of an array."""
     assert values(array) == as_json
     longer = pa.concat_arrays([array, array])
     assert values(longer[len(array) :]) == as_json
@@ -282,7 +267,6 @@ def test_every_type_has_its_text(array: pa.Array, as_json: list[Any], as_cells: 
 
 
 def test_rows_are_objects_and_lines() -> None:
-    """By column; in CSV quotes tell an empty text from nothing, and no rows have a head all the same."""
     rows = pa.RecordBatch.from_pydict({"a": [1, 2], "b": ["", None]})
     assert list(objects(rows)) == [{"a": 1, "b": ""}, {"a": 2, "b": None}]
     assert csv_text(rows, with_header=True) == '"a","b"\n1,""\n2,\n'

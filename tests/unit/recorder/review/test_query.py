@@ -34,7 +34,6 @@ def over(logs: list[Path]) -> LogSource:
 
 
 def exported(logs: list[Path]) -> DatasetSource:
-    """The same as a dataset, in a directory whose name would be a pattern."""
     directory = logs[0].parent / "it's [a] set"
     export_dataset(find_logs(logs, Faults()), directory, ExportRange(), Faults())
     manifest = read_manifest(directory)
@@ -89,12 +88,10 @@ def ask(source: Source, sql: str) -> list[dict[str, Any]]:
     ],
 )
 def test_subjects_are_tables(source: Source, sql: str, expected: list[dict[str, Any]]) -> None:
-    """Whatever the statement does with them; both sources answer the same."""
     assert ask(source, sql) == expected
 
 
 def test_a_whole_row_is_the_same_from_both(tmp_path: Path) -> None:
-    """Column by column, also of nested ones."""
     of_logs, of_dataset = (make(logs_in(tmp_path)) for make in BOTH)
     for table in of_logs.tables:
         rows = sorted(map(repr, ask(of_logs, f"FROM {table.name}")))
@@ -115,7 +112,6 @@ def test_a_whole_row_is_the_same_from_both(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_sql_is_one_line(source: Source, sql: str, code: ExitCode, words: str) -> None:
-    """What is wrong with it."""
     if not words:
         assert ask(source, sql) == []
         return
@@ -127,7 +123,6 @@ def test_wrong_sql_is_one_line(source: Source, sql: str, code: ExitCode, words: 
 
 
 def test_damage_is_told_once(tmp_path: Path) -> None:
-    """However often a statement reads the table; what can be read is in the answer."""
     data = drive_log(count=200)
     log = saved(tmp_path / "1.mcap", data[: len(data) - 3000])
     faults = Faults()
@@ -138,7 +133,6 @@ def test_damage_is_told_once(tmp_path: Path) -> None:
 
 
 def test_others_topics_are_tables_too(tmp_path: Path) -> None:
-    """Of one name, but other columns: the second is numbered. Without a summary channels are found too."""
     data = ALL(f_int32=5).SerializeToString()
     logs = [
         saved(tmp_path / "1.mcap", numbered_log([channel(ALL_SCHEMA)], [[(1, data)]])),
@@ -151,7 +145,6 @@ def test_others_topics_are_tables_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("make", BOTH)
 def test_own_subjects_have_their_names_before_others(tmp_path: Path, make: Callable[[list[Path]], Source]) -> None:
-    """Whatever somebody else writes under a key of ours, and where there is none of ours."""
     for number, topic in enumerate(("fleet/a/chassis/gear", "/state"), 1):
         other = LogChannel(1, topic, "s", b"", "jsonschema", "json")
         saved(tmp_path / f"{number}.mcap", numbered_log([other], [[(1, b'{"x": 1}')]]))
@@ -169,7 +162,6 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path, make: Calla
 
 @pytest.mark.parametrize("make", BOTH)
 def test_robots_of_one_name_are_told_apart(tmp_path: Path, make: Callable[[list[Path]], Source]) -> None:
-    """By their roots, in a dataset as over the logs."""
     data = [drive_log(count=3), drive_log(count=4).replace(b"fleet/cruiser-1", b"depot/cruiser-1")]
     logs = [saved(tmp_path / f"{place}.mcap", one) for place, one in enumerate(data)]
     assert ask(make(logs), "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY robot ORDER BY robot") == [
@@ -179,7 +171,6 @@ def test_robots_of_one_name_are_told_apart(tmp_path: Path, make: Callable[[list[
 
 
 def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None:
-    """DuckDB is interrupted in the midst of it."""
     looks = iter([False, False])
     sql = "SELECT sum(a.range % c.range) FROM range(1, 1000000) a, range(1, 1000000) b, range(1, 1000000) c"
 
@@ -212,7 +203,6 @@ def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None
 def test_a_statement_sees_neither_files_nor_network(
     source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str
 ) -> None:
-    """It may be a stranger's, as the log is: no file is read, written or listed, and no extension looked for."""
     directory = tmp_path_factory.mktemp("home")
     (directory / "secret.csv").write_text("secret\n1\n")
     with pytest.raises(CommandError):
@@ -227,7 +217,6 @@ def test_a_statement_sees_neither_files_nor_network(
 def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each log is read as it is, so without it all is there twice."""
     page = (Path(__file__).parents[4] / "docs" / "review.md").read_text("utf-8")
     (once,) = re.findall(r"`(SELECT DISTINCT ON .*?)` takes", page)
     logs = [saved(tmp_path / name, drive_log()) for name in ("1.mcap", "2.mcap")]
@@ -241,7 +230,6 @@ def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
 def test_a_long_answer_is_cut_for_people_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says so."""
     monkeypatch.setattr(command, "SHOWN_MAX", 3)
     log = saved(tmp_path / "1.mcap", drive_log())
     assert review("query", "SELECT sequence FROM chassis_gear", log) == ExitCode.OK

@@ -1,4 +1,4 @@
-"""Logs run again: their journals in order, and the comparison of what was recorded with what comes out."""
+"""Reruns: journals in order, and the comparison of recorded and rerun messages."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
@@ -60,7 +60,7 @@ Random(3).shuffle(SHUFFLED)  # noqa: S311 - nothing here is secret
 
 
 def row_of(given: tuple[int, int] | int | bytes) -> Row:
-    """A journal of two inputs by run and first place, something else by its number, or of these bytes."""
+    """A journal of two inputs by run and first place, another message by its number, or these bytes."""
     if isinstance(given, int):
         return Row(STATE, given, 0, given, b"")
     if isinstance(given, bytes):
@@ -73,7 +73,7 @@ def row_of(given: tuple[int, int] | int | bytes) -> Row:
 def played(
     rows: Iterable[tuple[int, int] | int | bytes], faults: Faults | None = None
 ) -> Iterator[tuple[list[int], PartEnd, list[int]]]:
-    """Of each part the places of its journals, how far it goes, and what was taken meanwhile."""
+    """Of each part the places of its journals, its end, and the other messages."""
     taken: list[int] = []
     tape = Tape(map(row_of, rows), lambda row: taken.append(row.sequence), Faults() if faults is None else faults)
     while tape.next_part():
@@ -111,7 +111,6 @@ TAPES: dict[str, tuple[Iterable[tuple[int, int] | int | bytes], list[PartEnd], l
 
 @pytest.mark.parametrize("row", TAPES)
 def test_the_journals_of_a_run_come_in_their_order(row: str) -> None:
-    """However they stand in the log; a gap parts a run, and says what is missing."""
     rows, ends, taken, fault_count = TAPES[row]
     faults = Faults()
     parts = list(played(rows, faults))
@@ -122,7 +121,6 @@ def test_the_journals_of_a_run_come_in_their_order(row: str) -> None:
 
 @pytest.mark.parametrize(("name", "bound"), [("HELD_MAX", 10), ("HELD_BYTES", 10)])
 def test_what_waits_for_its_turn_is_bounded(monkeypatch: pytest.MonkeyPatch, name: str, bound: int) -> None:
-    """A run whose beginning never comes does not fill the memory; what comes too late for it is left out."""
     monkeypatch.setattr(module, name, bound)
     rows = [*((7, first) for first in range(2, 200, 2)), (7, 0), (8, 0)]
     assert [(firsts[0], len(firsts), end.run) for firsts, end, _ in played(rows)] == [(2, 99, 7), (0, 1, 8)]
@@ -130,7 +128,6 @@ def test_what_waits_for_its_turn_is_bounded(monkeypatch: pytest.MonkeyPatch, nam
 
 @given(st.lists(st.integers(0, 30), max_size=60), st.integers(1, 12))
 def test_every_journal_is_played_once_and_in_order_within_its_part(order: list[int], held: int) -> None:
-    """Whatever is missing, twice, or out of place; but what comes too late for its place is left out."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "HELD_MAX", held)
         firsts = [first for part, _, _ in played([(7, 2 * place) for place in order]) for first in part]
@@ -141,7 +138,6 @@ def test_every_journal_is_played_once_and_in_order_within_its_part(order: list[i
 
 
 def test_a_journal_that_is_longer_than_any_gateway_says_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its inputs would take a hundred times its length, once they are read."""
     monkeypatch.setattr(module, "JOURNAL_BYTES", 1)
     faults = Faults()
     assert not list(played([(7, 0)], faults))
@@ -167,8 +163,8 @@ def key(number: int, subject: str = EVENT) -> Key:
 def compared(steps: str = "") -> Comparison:
     """A comparison after these steps.
 
-    r1 is recorded, a1 comes out again, each at its number; with ! it has another operator, with f it is a frame.
-    A + is a state that comes out much later.
+    r1 is recorded and a1 rerun, each with its number; ! has another text, f is a frame, + a state that comes much
+    later.
     """
     comparison = Comparison(lambda _, data: typed_decoder(SafetyEvent)(data))
     for step in steps.split():
@@ -205,7 +201,6 @@ def compared(steps: str = "") -> Comparison:
 def test_each_message_is_compared_with_its_counterpart(
     steps: str, same: int, unrecorded: int, differing: list[int], later: list[int]
 ) -> None:
-    """Once, whichever side is ahead."""
     comparison = compared(steps)
     assert [one[1] for one, _ in comparison.end()] == later
     assert comparison.same.total() == same
@@ -226,7 +221,6 @@ def test_other_words_are_no_difference() -> None:
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 2**32))
 def test_either_side_may_be_ahead(changed: list[bool], seed: int) -> None:
-    """In whatever order the two sides come, each pair is compared once and right."""
     sides = [letter for letter in "ra" for _ in changed]
     Random(seed).shuffle(sides)  # noqa: S311 - nothing here is secret
     # Each side alone is in its order.
@@ -242,7 +236,6 @@ def test_either_side_may_be_ahead(changed: list[bool], seed: int) -> None:
 
 
 def test_memory_and_output_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What waits too long is given up and counted, as is what comes too late to tell; the first ones are told."""
     monkeypatch.setattr(module, "WAITING_MAX", 3)
     monkeypatch.setattr(module, "DIFFERENCES_TOLD", 2)
     comparison = compared("a9 r0 r1 r2 r3 r4")
@@ -263,7 +256,6 @@ def test_memory_and_output_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @cache
 def day_log() -> bytes:
-    """The log of some seconds in which much happens."""
     day = Day(1, Variant.COARSE, ticks=1500)
     day.live()
     return day.rig.log()
@@ -289,7 +281,6 @@ LoggedMessage = tuple[Schema | None, Channel, Message]
 
 
 def read(log: Path) -> tuple[list[LoggedMessage], list[Attachment]]:
-    """Messages, with schema and channel, and attachments."""
     with log.open("rb") as stream:
         reader = make_reader(stream)
         return list(reader.iter_messages(log_time_order=False)), list(reader.iter_attachments())
@@ -309,12 +300,10 @@ def write(path: Path, messages: Sequence[LoggedMessage], attachments: Iterable[A
 
 
 def of_depot() -> bytes:
-    """The same of another root, with the checksums of before."""
     return day_log().replace(b"fleet/", b"depot/")
 
 
 def without_configuration() -> bytes:
-    """The same with its configuration under another name."""
     return day_log().replace(CONFIGURATION.encode(), CONFIGURATION.replace("f", "g").encode())
 
 
@@ -337,7 +326,6 @@ def without_configuration() -> bytes:
 def test_logs_of_a_directory_are_run_again(
     log: Path, others: list[Callable[[], bytes] | None], results: list[tuple[str, bool, str]]
 ) -> None:
-    """Each robot by itself, once."""
     for number, data in enumerate(others):
         if data is None:
             log.unlink()
@@ -354,7 +342,6 @@ def test_logs_of_a_directory_are_run_again(
 def test_what_was_changed_or_put_in_is_a_difference(
     tmp_path: Path, log: Path, topic: str, *, is_put_in: bool
 ) -> None:
-    """Whatever the journal says otherwise."""
     messages, attachments = read(log)
     [*places] = (place for place, one in enumerate(messages) if one[1].topic.endswith(topic))
     place = places[len(places) // 2]
@@ -380,7 +367,6 @@ SHUT_DOWN = msgspec.msgpack.encode([[Kind.SHUT_DOWN, 1]])
 def test_each_run_has_the_configuration_that_its_gateway_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A recorder attaches a configuration only when it has changed; the next run's is not this one's."""
     log = Log()
     begins = [(1, WALL_NS, 0.5), (2, WALL_NS + 5 * SECOND, 0.5), (3, WALL_NS + 9 * SECOND, 1.0)]
     for number, (run, time_ns, limit_mps) in enumerate(begins):
@@ -403,7 +389,6 @@ def test_each_run_has_the_configuration_that_its_gateway_told(
     "inputs", [b"\xc1", b"\x05", msgspec.msgpack.encode([[99, 1]]), msgspec.msgpack.encode([[Kind.TICK, 1]])]
 )
 def test_a_journal_that_makes_no_sense_ends_its_part(tmp_path: Path, inputs: bytes) -> None:
-    """Another version wrote it, or it was damaged: a fault, and the next run is run again all the same."""
     log = Log()
     log.receive(sample_of(info()), said_journal(1, inputs, WALL_NS), said_journal(2, SHUT_DOWN, WALL_NS + SECOND))
     (tmp_path / "log.mcap").write_bytes(log.close())

@@ -1,4 +1,4 @@
-"""Tasks that a cluster does, with a stand-in for Ray's module."""
+"""Tasks on a cluster, with a stand-in for Ray's module."""
 
 import sys
 from collections.abc import Callable
@@ -44,7 +44,6 @@ class FakeRay:
 
 
 def test_a_task_is_done_and_begun_anew_where_that_may_help() -> None:
-    """Where its process dies, or a file cannot be read; a bug stays one."""
     ray = FakeRay()
     cluster = RayCluster(ray)
     assert cluster.submit(divmod, 7, 2).result() == (3, 1)
@@ -54,7 +53,6 @@ def test_a_task_is_done_and_begun_anew_where_that_may_help() -> None:
 
 
 def test_a_task_that_is_lost_is_one_clear_error() -> None:
-    """No answer is not the answer that all is the same."""
     ray = FakeRay()
     ray.loses = True
     with pytest.raises(CommandError, match="has lost a task: the node is gone"):
@@ -62,7 +60,6 @@ def test_a_task_that_is_lost_is_one_clear_error() -> None:
 
 
 def test_ray_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What to install."""
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(CommandError, match=r"pip install -e '\.\[ray\]'"), ray_cluster("ray://here:1"):
         pass
@@ -70,7 +67,6 @@ def test_ray_that_is_missing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("address", ["auto", "local", "10.0.0.5:6379"])
 def test_an_address_at_which_ray_prints_among_the_answers_is_refused(address: str) -> None:
-    """Before anything is connected."""
     with pytest.raises(CommandError, match="ray://HOST:PORT") as raised, ray_cluster(address):
         pass
     assert raised.value.code is ExitCode.USAGE

@@ -1,4 +1,4 @@
-"""The proof of logs: what operators and recorders signed, under which authority, and what somebody made of it."""
+"""Verification of logs: signatures of operators and recorders, authorities, and tampering."""
 
 from __future__ import annotations
 
@@ -62,7 +62,6 @@ MISSING = Credentials(Reason.PROOF_MISSING)
 
 
 def verified_files(paths: Sequence[Path], *trusts: Trust) -> RobotProofReport:
-    """What is proven of one robot's logs; nothing in them is unreadable."""
     faults = Faults()
     (report,) = verify_logs(find_logs(paths, faults), faults, trusts)
     assert not faults, faults.told
@@ -74,7 +73,6 @@ def verified_files(paths: Sequence[Path], *trusts: Trust) -> RobotProofReport:
 def verified(
     logs: Sequence[Sequence[Message]], *trusts: Trust, signer: LogSigner | None = None
 ) -> RobotProofReport:
-    """The same of logs of these samples, in files of their own; that nobody signed them is another story."""
     with TemporaryDirectory() as name:
         paths = [saved(Path(name) / f"log-{number}.mcap", log_of(one)) for number, one in enumerate(logs)]
         report = verified_files([signed(one, signer) if signer else one for one in paths], *trusts)
@@ -110,7 +108,7 @@ def is_pipe(log: Path) -> None:
 
 
 def flip(log: Path) -> None:
-    """Change the log time of the last message, in the statistics of the summary."""
+    """Change the log time of the last message in the statistics of the summary."""
     data = bytearray(log.read_bytes())
     data[-60] ^= 1
     log.write_bytes(data)
@@ -131,7 +129,7 @@ FILES: dict[str, tuple[Callable[[Path], object], ProofFault | None]] = {
 
 @pytest.mark.parametrize("row", FILES)
 def test_a_file_is_compared_with_the_signature_beside_it(tmp_path: Path, row: str) -> None:
-    """Whoever changes a log can sign it with their own key. That is found; what proves nothing is no tampering."""
+    """An unknown signer proves nothing, and is no tampering."""
     log = signed(saved(tmp_path / "log.mcap", log_of(SAMPLES)), RECORDER)
     change, fault = FILES[row]
     change(log)
@@ -141,7 +139,6 @@ def test_a_file_is_compared_with_the_signature_beside_it(tmp_path: Path, row: st
 
 
 def test_a_byte_of_a_file_that_was_changed_is_found(tmp_path: Path) -> None:
-    """Of the summary too, which says when a log ends."""
     log = signed(saved(tmp_path / "log.mcap", log_of(SAMPLES)), RECORDER)
     flip(log)
     faults = Faults()
@@ -168,7 +165,6 @@ def engaged(by: Party = ANN, **how: Any) -> Story:  # noqa: ANN401 - of the requ
 
 
 def granted(**said: Any) -> Story:  # noqa: ANN401 - fields of a grant
-    """A request to engage is accepted of somebody with another grant, as if it allowed all."""
     role = said.get("role", GrantRole.OPERATOR)
     bob = FLEET.operator("bob", **said)
     return engaged(
@@ -229,7 +225,7 @@ RUNS: dict[str, tuple[Story, set[ProofFault]]] = {
 
 @pytest.mark.parametrize("row", RUNS)
 def test_what_a_robot_accepted_is_judged_again(row: str) -> None:
-    """A robot that took what it should not have, or says that it was signed, has been tampered with itself."""
+    """A robot that accepted an invalid command was tampered with itself."""
     run, ann = driven(FLEET, robot=RUN.robot)
     story, faults = RUNS[row]
     story(run, ann)
@@ -238,7 +234,6 @@ def test_what_a_robot_accepted_is_judged_again(row: str) -> None:
 
 
 def test_stops_that_nobody_signed_are_told_beside_the_signed_one() -> None:
-    """Who stops waits for no proof, which follows: nobody is accused of anything, and none is taken for signed."""
     run, ann = driven(FLEET, robot=RUN.robot)
     for operator in ("ann", "ann", "zoe"):
         run.ask("stop", ann, operator=operator, attachment=b"", credentials=MISSING)
@@ -253,7 +248,6 @@ def test_stops_that_nobody_signed_are_told_beside_the_signed_one() -> None:
 
 
 def test_a_copy_says_nothing_new_and_counts_once() -> None:
-    """A log and its incident hold the same, and so do two recorders' logs."""
     place = of(SAMPLES, Decision)[2]
     once = verified([[*SAMPLES, SAMPLES[place]]], FLEET.trust)
     twice = verified([SAMPLES, SAMPLES], FLEET.trust)
@@ -266,13 +260,11 @@ def test_a_copy_says_nothing_new_and_counts_once() -> None:
 
 
 def row_of(message: Message, late_ns: int = 0) -> tuple[int, int, int, bytes]:
-    """Sequence, log time, publish time and data of a record."""
     at_ns = message.time_ns
     return message.sequence, at_ns, at_ns + late_ns, compile_encoder(type(message))(message)
 
 
 def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path) -> None:
-    """Other questions go by the log's own times and sequences: here one sample has another publish time."""
     changed = of(SAMPLES, Decision)[2]
     disk = Disk()
     file = McapFile(disk, "test")
@@ -292,7 +284,6 @@ def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path
 
 
 def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None:
-    """Other questions show what it said, and nothing proves that."""
     topic = key_of(SafetyEvent).replace(ROBOT, "cruiser-2")
     disk = Disk()
     file = McapFile(disk, "test")
@@ -322,13 +313,7 @@ def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None
 
 
 class Rotated:
-    """A robot's run in which the standby replaces the authority.
-
-    Args:
-        before_s: so long it runs under the first authority.
-        without_s: so long it has taken over the rotation, and no grant of the next authority.
-        after_s: so long it runs under the next one.
-    """
+    """A run in which the standby replaces the authority; ``without_s`` is the time without a new grant."""
 
     def __init__(self, before_s: int = 4, without_s: int = 2, after_s: int = 4) -> None:
         self.fleet = Fleet()
@@ -419,7 +404,6 @@ FORGED = Fleet()
 def test_a_log_under_an_authority_that_was_not_given_says_so(
     samples: Sequence[Message], trusts: list[Trust], fault: ProofFault, words: tuple[str, ...], *, is_vouched: bool
 ) -> None:
-    """In one finding that names them; nobody is accused, and nobody vouches for another one's."""
     report = verified([samples], *trusts)
     assert faults_of(report) == {fault} - {None}
     assert len(report.findings) <= 4
@@ -437,7 +421,6 @@ def rotation_of_a_thief(run: SignedRun, _: Fleet) -> None:
 
 
 def robot_revoked(run: SignedRun, fleet: Fleet) -> None:
-    """Who has the robot's key may be anybody from then on; what it showed before holds."""
     run.show(fleet.authority.revoke(1, keys=(run.robot.key,)).text())
     run.seconds(4)
     assert not verified([run.samples], fleet.trust).findings
@@ -445,7 +428,7 @@ def robot_revoked(run: SignedRun, fleet: Fleet) -> None:
 
 
 def granted_by_a_site(run: SignedRun, fleet: Fleet) -> None:
-    """As an earlier version let sites do: it is verified no more, and nobody is accused."""
+    """As an earlier version let sites do: it is not verified any more."""
     ann = Party("ann")
     fleet.site().grant(ann)
     run.show(chain_text(ann.chain))
@@ -455,7 +438,6 @@ def granted_by_a_site(run: SignedRun, fleet: Fleet) -> None:
 
 
 def revoked_after(run: SignedRun, fleet: Fleet) -> None:
-    """A verb before its grant was revoked holds, in the same log as one after it."""
     ann = fleet.operator("ann")
     run.show(chain_text(ann.chain))
     run.ask("acquire", ann)
@@ -482,7 +464,6 @@ def revoked_after(run: SignedRun, fleet: Fleet) -> None:
 def test_what_changed_in_a_run_is_judged_from_then_on(
     story: Callable[[SignedRun, Fleet], None], fault: ProofFault, words: str
 ) -> None:
-    """By the authority that holds at each time, in one finding."""
     fleet = Fleet()
     run = SignedRun(fleet)
     run.seconds(2)
@@ -498,7 +479,6 @@ def test_what_changed_in_a_run_is_judged_from_then_on(
 
 
 def test_a_grant_of_the_former_authority_is_none_after_the_rotation() -> None:
-    """A robot that goes on under it was tampered with."""
     rotated = Rotated()
     eve = rotated.fleet.operator("eve")
     rotated.run.show(chain_text(eve.chain))
@@ -508,14 +488,12 @@ def test_a_grant_of_the_former_authority_is_none_after_the_rotation() -> None:
 
 
 def test_a_run_of_another_authority_beside_one_of_the_given_is_no_former_one() -> None:
-    """Where the robot has a grant of the authority that was given, a run under another one was put in."""
     other, _ = driven(Fleet(), boot=b"boot no2", at_s=NOW_S + 60)
     assert NOT_GRANTED in faults_of(verified([SAMPLES, other.samples], FLEET.trust))
 
 
 @pytest.mark.parametrize("is_revoked", [True, False])
 def test_a_file_of_a_recorder_is_judged_at_its_end(*, is_revoked: bool) -> None:
-    """The key of one that was revoked by then may be anybody's."""
     fleet, recorder = Fleet(), Party("depot-1")
     run, _ = driven(fleet)
     fleet.authority.grant(recorder, role=GrantRole.RECORDER)
@@ -528,7 +506,6 @@ def test_a_file_of_a_recorder_is_judged_at_its_end(*, is_revoked: bool) -> None:
 
 @given(places=st.lists(st.integers(1, 200), max_size=4).map(sorted), renewals=st.integers(1, 4))
 def test_a_log_with_renewed_grants_holds_however_it_is_split(places: list[int], renewals: int) -> None:
-    """Each statement is judged by the grant of its time, and not by the newest one."""
     fleet = Fleet()
     run = SignedRun(fleet)
     for number in range(renewals):
@@ -548,7 +525,6 @@ def test_a_log_with_renewed_grants_holds_however_it_is_split(places: list[int], 
     part=st.tuples(st.floats(0, 1), st.floats(0, 1)).map(sorted),
 )
 def test_no_part_of_an_honest_log_is_said_to_be_forged(spans: tuple[int, int, int], part: list[float]) -> None:
-    """Wherever an incident begins and ends, and whichever authorities are given; what it lacks cannot be told."""
     rotated = Rotated(*spans)
     samples = rotated.run.samples
     begin, end = (int(at * len(samples)) for at in part)
@@ -592,7 +568,6 @@ COMMANDS: dict[str, tuple[bytes, bytes | None, Fleet | None, int, tuple[str, ...
 
 @pytest.mark.parametrize("row", COMMANDS)
 def test_the_command_says_what_is_proven(tmp_path: Path, capsys: pytest.CaptureFixture[str], row: str) -> None:
-    """The verdict is in the first line; in JSON are the facts, a finding once, with the same exit code."""
     data, of_recorder, fleet, code, (*words,), facts = COMMANDS[row]
     log = saved(tmp_path / "log.mcap", data if of_recorder is None else of_recorder)
     if of_recorder is not None:
@@ -612,7 +587,6 @@ def test_the_command_says_what_is_proven(tmp_path: Path, capsys: pytest.CaptureF
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff", b'{"active": "1", "standby": "2"}'])
 def test_an_authority_that_is_none_is_named_with_the_cure(tmp_path: Path, content: bytes) -> None:
-    """Before a log is read."""
     path = saved(tmp_path / "authority.json", content)
     with pytest.raises(CommandError, match=r"authority\.json.*cruiser provision") as raised:
         review("verify", str(saved(tmp_path / "log.mcap", WHOLE)), "--authority", str(path))

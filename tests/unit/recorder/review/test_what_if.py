@@ -1,4 +1,4 @@
-"""Logs as they would have been with other settings, each a task."""
+"""Logs rerun with other settings, each a task."""
 
 import pickle
 from pathlib import Path
@@ -33,7 +33,6 @@ STOPS = st.builds(
 
 @given(st.lists(STOPS, max_size=8), st.lists(STOPS, max_size=8))
 def test_each_stop_has_one_counterpart_at_most(stops: list[StopMade], others: list[StopMade]) -> None:
-    """Of the same reason, near in time; what is left on either side is the same number as what differs."""
     found = compared(stops, others)
     assert compared(stops, stops) == StopsCompared([], [], [])
     assert len(stops) - len(found.avoided) == len(others) - len(found.added)
@@ -50,7 +49,6 @@ SLOW = TriedSettings(None, "", {"command.speed_limit_mps": "0.3"})
 
 
 def test_a_task_gives_what_its_log_holds(tmp_path: Path) -> None:
-    """By robot and time, with the settings of the runs and with others; task and outcome go to another process."""
     for name, robot in (("a", "cruiser-1"), ("b", "cruiser-2")):
         rig, _ = RecordedRig.driving(0.6)
         rig.rest_after(0.5)

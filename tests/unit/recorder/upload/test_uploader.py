@@ -1,4 +1,4 @@
-"""Finished logs to a store that does all that stores do."""
+"""The upload of finished logs to a store with all kinds of faults."""
 
 from __future__ import annotations
 
@@ -40,12 +40,8 @@ from tests.support.logs import gears, own_log, saved
 class FakeLogStore(LogStore):
     """A store in memory.
 
-    Attributes:
-        calls: what was asked of it, in order: the method and the object.
-        cuts: so many writes lose their connection before their last piece.
-        spoils: of so many writes it keeps something else.
-        is_old: it answers as if nothing had been there before.
-        meanwhile: called before each answer: a store that is slow.
+    ``calls`` are methods and objects; ``cuts`` writes fail before their last piece, ``spoils`` writes are stored
+    wrong; ``is_old`` hides existing objects; ``meanwhile`` runs before each answer.
     """
 
     def __init__(self) -> None:
@@ -127,13 +123,11 @@ def uploader_of(
     reads_back: bool = True,
     only_incidents: bool = False,
 ) -> Uploader:
-    """Of all that is finished there, read back; with its rows, if somebody makes them."""
     plan = UploadPlan(directory, "s3://logs", only_incidents, reads_back, "0.1.0")
     return Uploader(plan, store, note, pace or RateLimit(0), rows)
 
 
 def upload(directory: Path, store: LogStore, rows: Rows | None = None, **plan: bool) -> UploadTotals:
-    """Upload all that is there, as a start of the command does."""
     with UploadNote(directory) as note:
         one = uploader_of(directory, store, note, rows, None, **plan)
         asyncio.run(one.upload_all(lambda: True))
@@ -149,7 +143,6 @@ def safe(directory: Path) -> set[str]:
 
 
 def test_a_log_is_whole_in_the_store_with_a_manifest_and_a_mark(tmp_path: Path, store: FakeLogStore) -> None:
-    """The manifest says what the log is without a look into it."""
     data = log_of()
     saved(tmp_path / LOG, data)
     totals = upload(tmp_path, store)
@@ -196,7 +189,6 @@ def test_a_log_is_whole_in_the_store_with_a_manifest_and_a_mark(tmp_path: Path, 
 def test_finished_logs_of_a_recorder_go_and_nothing_else(
     tmp_path: Path, store: FakeLogStore, name: str, *, only_incidents: bool, goes_to: str | None
 ) -> None:
-    """Parts are not whole yet, other makers' logs are somebody else's; where links cost money, incidents alone."""
     saved(tmp_path / name, log_of()[:-20])
     totals = upload(tmp_path, store, only_incidents=only_incidents)
     assert (bool(store.calls), totals.faults) == (goes_to is not None, {})
@@ -208,7 +200,6 @@ def test_finished_logs_of_a_recorder_go_and_nothing_else(
 
 
 def test_the_recorders_signature_goes_with_its_log(tmp_path: Path, store: FakeLogStore) -> None:
-    """And one of another log, or a link, stays."""
     fleet, recorder = Fleet(), Party("depot-1")
     fleet.authority.grant(recorder, role=GrantRole.RECORDER)
     signer = LogSigner(Identity(recorder.private, recorder.chain, fleet.trust))
@@ -227,7 +218,6 @@ def test_the_recorders_signature_goes_with_its_log(tmp_path: Path, store: FakeLo
 
 
 def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLogStore) -> None:
-    """Also one that ends while a log is under way."""
     saved(tmp_path / LATER, log_of(1))
     saved(tmp_path / LOG, log_of(2))
 
@@ -242,7 +232,6 @@ def test_incidents_come_first_and_then_the_oldest(tmp_path: Path, store: FakeLog
 
 
 def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Path, store: FakeLogStore) -> None:
-    """No file that it leads to goes out, nothing is waited for, what somebody has in hand waits; the others go."""
     saved(tmp_path / LOG, b"none of ours")
     secret = saved(tmp_path / "elsewhere" / "secret", log_of())
     (tmp_path / "a-20270115T080000Z.mcap").symlink_to(secret)
@@ -274,7 +263,6 @@ def test_a_file_that_only_has_the_name_of_a_log_is_named_and_stays(tmp_path: Pat
 def test_a_log_that_the_store_loses_or_spoils_is_never_called_safe(
     tmp_path: Path, store: FakeLogStore, knob: str, times: int, fault: str
 ) -> None:
-    """Neither here nor there; the next log is tried. A later try begins that log again, under the same name."""
     for name in (LOG, LATER):
         saved(tmp_path / name, log_of(name == LATER))
     setattr(store, knob, times)
@@ -295,7 +283,6 @@ def test_a_log_that_the_store_loses_or_spoils_is_never_called_safe(
 def test_a_log_is_sent_whole_or_does_not_appear(
     tmp_path: Path, store: FakeLogStore, happens: Callable[[Path], object], fault: str
 ) -> None:
-    """Its last piece is held back until all of it is what was summed up. One that is gone is no fault."""
     path = saved(tmp_path / LOG, log_of())
 
     async def happen(method: str, _name: str) -> None:
@@ -311,7 +298,6 @@ def test_a_log_is_sent_whole_or_does_not_appear(
 def test_what_was_broken_off_behind_the_log_is_verified_and_not_sent_again(
     tmp_path: Path, store: FakeLogStore, method: str
 ) -> None:
-    """The log is there already: on a thin link it took an hour."""
     saved(tmp_path / LOG, log_of())
 
     async def break_off(asked: str, _name: str) -> None:
@@ -327,7 +313,6 @@ def test_what_was_broken_off_behind_the_log_is_verified_and_not_sent_again(
 
 
 def test_where_the_stores_checksum_is_that_of_the_log_it_is_enough(tmp_path: Path, store: FakeLogStore) -> None:
-    """If that was asked for; and what was spoiled is seen by it, too."""
     saved(tmp_path / LOG, log_of())
     store.spoils = 1
     upload(tmp_path, store, reads_back=False)
@@ -339,7 +324,7 @@ def test_where_the_stores_checksum_is_that_of_the_log_it_is_enough(tmp_path: Pat
 def test_a_store_that_answers_as_of_a_while_ago_takes_no_log_twice_and_loses_none(
     tmp_path: Path, store: FakeLogStore
 ) -> None:
-    """It says that a manifest is there, and shows none: then the log waits."""
+    """It refuses a new manifest, and shows none: the log waits."""
     saved(tmp_path / LOG, log_of())
     store.is_old = True
     assert upload(tmp_path, store).uploaded == 0
@@ -351,7 +336,6 @@ def test_a_store_that_answers_as_of_a_while_ago_takes_no_log_twice_and_loses_non
 
 
 def test_no_manifest_makes_a_log_safe_that_the_store_does_not_hold(tmp_path: Path, store: FakeLogStore) -> None:
-    """Whoever may write there can say of anything that it was verified, and retention would delete the log."""
     data = log_of()
     saved(tmp_path / "first" / LOG, data)
     saved(tmp_path / "second" / LOG, data)
@@ -365,7 +349,6 @@ def test_no_manifest_makes_a_log_safe_that_the_store_does_not_hold(tmp_path: Pat
 def test_a_store_that_answers_with_very_much_fills_no_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A manifest that is no manifest is read up to a bound."""
     monkeypatch.setattr(uploader, "SMALL_MAX_BYTES", 1000)
     logs = LogStore(f"file://{tmp_path}/store", {})
     for size in (1000, 1001):
@@ -376,8 +359,6 @@ def test_a_store_that_answers_with_very_much_fills_no_memory(
 
 
 def test_a_disk_without_hard_links_is_a_store_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As FAT is: what is there is not overwritten all the same."""
-
     async def put(store: object, name: str, data: bytes, **how: object) -> object:
         if how.get("mode") == "create":
             raise GenericError("Unable to rename file: Operation not permitted")
@@ -392,7 +373,6 @@ def test_a_disk_without_hard_links_is_a_store_too(tmp_path: Path, monkeypatch: p
 
 
 def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store: FakeLogStore) -> None:
-    """Two recorders may begin a log in the same second; one may change after it was sent."""
     saved(tmp_path / "robot" / LOG, log_of(1))
     saved(tmp_path / "depot" / LOG, log_of(2))
     for count, directory in enumerate(("robot", "depot", "robot"), start=1):
@@ -404,7 +384,6 @@ def test_another_log_of_the_same_name_is_never_overwritten(tmp_path: Path, store
 
 
 def test_there_are_not_endless_logs_of_one_name(tmp_path: Path, store: FakeLogStore) -> None:
-    """Who fills a store with manifests makes nobody ask for ever."""
     stem = LOG.removesuffix(".mcap")
     for number in range(1, NAMESAKES_MAX + 1):
         store.objects[f"cruiser-1/{stem}{f'-{number}' * (number > 1)}.mcap.json"] = b"[]"
@@ -413,7 +392,6 @@ def test_there_are_not_endless_logs_of_one_name(tmp_path: Path, store: FakeLogSt
 
 
 def test_two_machines_that_upload_the_same_log_at_once_make_one_of_it(tmp_path: Path, store: FakeLogStore) -> None:
-    """Copies of one disk, in any order of their steps."""
     data = log_of()
     for name in ("a", "b"):
         saved(tmp_path / name / LOG, data)
@@ -434,7 +412,6 @@ def test_two_machines_that_upload_the_same_log_at_once_make_one_of_it(tmp_path: 
 
 
 def test_sending_and_reading_back_keep_to_the_rate(tmp_path: Path, store: FakeLogStore) -> None:
-    """Each byte of a log counts, both ways."""
     counted: list[float] = []
 
     class CountedPace(RateLimit):
@@ -451,14 +428,12 @@ def test_sending_and_reading_back_keep_to_the_rate(tmp_path: Path, store: FakeLo
 
 
 def test_a_second_upload_from_one_directory_is_refused(tmp_path: Path) -> None:
-    """Two would send each log twice over a link that is short."""
     with UploadNote(tmp_path), pytest.raises(CommandError, match="another upload") as refused:
         UploadNote(tmp_path)
     assert refused.value.code is ExitCode.REFUSED
 
 
 def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: FakeLogStore) -> None:
-    """Nor does one log that it refuses hold up the others."""
     names = [f"cruiser-1-20270115T08000{second}Z.mcap" for second in range(5)]
     for number, name in enumerate(names):
         saved(tmp_path / name, log_of(number + 1))
@@ -471,7 +446,6 @@ def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: F
 
 
 def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogStore) -> None:
-    """What is not begun waits."""
     saved(tmp_path / LOG, log_of())
     with UploadNote(tmp_path) as note:
         one = uploader_of(tmp_path, store, note)
@@ -488,7 +462,6 @@ def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("place", ["memory:///", "file://{}/a%20store/of%20logs"])
 @pytest.mark.parametrize("count", [3, 300_000], ids=["in one piece", "in parts"])
 def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, count: int) -> None:
-    """And refuses a second manifest of one name."""
     data = (
         log_of(3) if count == 3 else own_log([gears(0, 3, 0)], attachments=[("ballast", os.urandom(11_000_000))])
     )
@@ -508,7 +481,6 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
 
 
 def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path) -> None:
-    """Whoever looks into it finds whole logs, or none."""
     store = LogStore(f"file://{tmp_path}/store", {})
 
     async def broken() -> AsyncIterator[bytes]:
@@ -538,7 +510,6 @@ class Rows:
 
 
 def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: Path, store: FakeLogStore) -> None:
-    """Logs go first: a row can be made again from the log."""
     saved(tmp_path / LOG, log_of(2))
     saved(tmp_path / LATER, log_of(3))
     rows = Rows()
@@ -556,7 +527,6 @@ def test_a_row_of_the_catalog_lies_beside_each_log_when_all_are_safe(tmp_path: P
 def test_a_log_is_safe_without_its_row(
     tmp_path: Path, store: FakeLogStore, fault: Exception | None, said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It is named, and no fault of the upload; of a log that is gone nothing is said."""
     saved(tmp_path / LOG, log_of())
     store.refused.add(f"cruiser-1/{LOG}{ROW_SUFFIX}")
     totals = upload(tmp_path, store, Rows(fault))
@@ -567,7 +537,6 @@ def test_a_log_is_safe_without_its_row(
 
 
 def test_rows_do_not_wait_one_by_one_for_a_store_that_is_gone(tmp_path: Path, store: FakeLogStore) -> None:
-    """Two are tried, and the others when it is back."""
     for number in range(AWAY_AFTER + 2):
         saved(tmp_path / f"cruiser-1-20270115T08000{number}Z.mcap", log_of(number + 1))
     rows = Rows()
@@ -579,7 +548,7 @@ def test_rows_do_not_wait_one_by_one_for_a_store_that_is_gone(tmp_path: Path, st
 @pytest.mark.usefixtures("_quick_disk")
 @pytest.mark.parametrize("size", [1, READ_BYTES + 1, PART_BYTES, PART_BYTES + 1, 2 * PART_BYTES])
 def test_the_checksums_are_those_of_the_stores(tmp_path: Path, size: int) -> None:
-    """S3 sums up the checksums of parts, and says how many there were."""
+    """S3 hashes the checksums of the parts, and adds their number."""
     data = os.urandom(size)
     parts = [hashlib.md5(data[at : at + PART_BYTES]).digest() for at in range(0, size, PART_BYTES)]  # noqa: S324
     with saved(tmp_path / "log", data).open("rb") as stream:

@@ -1,4 +1,4 @@
-"""Which robots a recorder records where several share a fleet, and what it is called."""
+"""Shards: which robots a recorder records, and the recorder's name."""
 
 import re
 import socket
@@ -16,7 +16,6 @@ ROBOTS = [f"cruiser-{number}" for number in range(200)]
 
 
 def test_each_robot_is_recorded_once() -> None:
-    """Whatever the number of shards; each has its share."""
     for total in (1, 2, 4, 7):
         parts = [[one for one in ROBOTS if Shard(number, total).has(one)] for number in range(1, total + 1)]
         assert Counter(robot for part in parts for robot in part) == Counter(ROBOTS)
@@ -24,7 +23,6 @@ def test_each_robot_is_recorded_once() -> None:
 
 
 def test_the_rule_is_the_documented_one() -> None:
-    """Others may reckon it, in any language and any process."""
     assert [Shard(number, 3).has("cruiser-7") for number in (1, 2, 3)] == [
         int(sha256(b"cruiser-7").hexdigest(), 16) % 3 == number - 1 for number in (1, 2, 3)
     ]
@@ -40,7 +38,6 @@ def test_the_rule_is_the_documented_one() -> None:
 
 @pytest.mark.parametrize("text", ["5/4", "0/4", "2", "2/", "a/b", "2/4/", "-1/4", "1/1000"])
 def test_a_shard_that_is_none_is_refused(text: str) -> None:
-    """What is wrong is said, with an example of one that is read."""
     assert shard_of("2/4") == Shard(2, 4)
     with pytest.raises(CommandError, match="such as 2/4") as refused:
         shard_of(text)
@@ -58,7 +55,6 @@ def test_a_shard_that_is_none_is_refused(text: str) -> None:
     ],
 )
 def test_a_recorder_is_called_like_its_host(monkeypatch: pytest.MonkeyPatch, host: str, name: str) -> None:
-    """As far as that can be a chunk of a key."""
     monkeypatch.setattr(socket, "gethostname", lambda: host)
     assert host_name() == name
     assert re.fullmatch(keys.ROBOT_PATTERN, host_name())

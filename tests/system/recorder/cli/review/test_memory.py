@@ -1,4 +1,4 @@
-"""The memory of every question, whatever the chunks of a log unpack to."""
+"""Memory use of every question, whatever size the chunks of a log claim."""
 
 import struct
 import subprocess
@@ -37,7 +37,6 @@ def zeros(_number: int) -> bytes:
 
 
 def tiny(_number: int) -> bytes:
-    """Messages without data, of a channel that the log has."""
     size = MESSAGE_HEADER.size
     record = MESSAGE_HEADER.pack(MESSAGE_OPCODE, size - RECORD_HEADER.size, 1, 0, 1, 1)
     return record * (UNPACKED_MAX // size)
@@ -49,14 +48,13 @@ def channels(_number: int) -> bytes:
 
 
 def schemas(number: int) -> bytes:
-    """A schema as long as the chunk, another one in each."""
     length = UNPACKED_MAX - RECORD_HEADER.size
     head = struct.pack("<HIII", 1000 + number, 0, 0, length - 14)
     return RECORD_HEADER.pack(Opcode.SCHEMA, length) + head + bytes(length - len(head))
 
 
 def bomb(content: Callable[[int], bytes], chunks: int) -> bytes:
-    """A log that is cut off, and such chunks in the place of its end."""
+    """A log cut off, with such chunks in place of its end."""
     log = small_log()
     parts = [log[: log.index(encode(records.DataEnd(0))[: RECORD_HEADER.size])]]
     for number in range(chunks):
@@ -81,7 +79,7 @@ MORE: Final = {"rerun": ("--processes", "1"), "recover": ("-o", "out.mcap")}
 def test_no_log_fills_the_memory(
     tmp_path: Path, question: str, content: Callable[[int], bytes], chunks: int
 ) -> None:
-    """Of some hundred kilobytes, which promise gigabytes."""
+    """A few hundred kilobytes that promise gigabytes."""
     path = tmp_path / "bomb.mcap"
     path.write_bytes(bomb(content, chunks))
     assert path.stat().st_size < 2_000_000

@@ -1,4 +1,4 @@
-"""The bar of long questions."""
+"""The progress bar of long questions."""
 
 import os
 import pty
@@ -15,7 +15,6 @@ CRUISER = Path(sys.executable).with_name("cruiser")
 
 @pytest.mark.parametrize("question", [["info"], ["check"], ["query", "--csv", "SELECT * FROM chassis_gear"]])
 def test_a_terminal_for_errors_takes_nothing_of_the_answer(tmp_path: Path, question: list[str]) -> None:
-    """A file that stdout is sent to holds the same as where there is no terminal."""
     log = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     log.write_bytes(small_log())
     command = [str(CRUISER), "review", *question, str(log)]

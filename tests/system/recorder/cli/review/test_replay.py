@@ -1,4 +1,4 @@
-"""``cruiser review replay``: logs to Zenoh, and whoever listens there."""
+"""``cruiser review replay``: logs to Zenoh, and its subscribers."""
 
 import json
 import random
@@ -29,40 +29,33 @@ from tests.support.waiting import wait_until
 
 
 def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: False) -> int:
-    """The command's exit code."""
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint or free_endpoint()]))
     return run_command(review, "replay", *words, settings=settings, stopped=stopped)
 
 
 @pytest.fixture
 def log(tmp_path: Path) -> str:
-    """A log of a robot."""
     return str(write_samples(tmp_path / "drive.mcap", drive_samples()))
 
 
 @pytest.fixture
 def peer() -> Iterator[tuple[Peer, str]]:
-    """Somebody on Zenoh, and where."""
     endpoint = free_endpoint()
     with Peer(endpoint) as one:
         yield one, endpoint
 
 
 class Heard:
-    """What a peer hears."""
-
     def __init__(self, peer: Peer, expression: str = "**") -> None:
         self._subscriber = peer.session.declare_subscriber(expression, zenoh.handlers.FifoChannel(100_000))
         self._samples: list[zenoh.Sample] = []
 
     def samples(self) -> list[zenoh.Sample]:
-        """All so far."""
         while (sample := self._subscriber.try_recv()) is not None:
             self._samples.append(sample)
         return self._samples
 
     def wait(self, count: int) -> list[zenoh.Sample]:
-        """All, once there are so many."""
         wait_until(lambda: len(self.samples()) >= count)
         return self._samples
 
@@ -70,7 +63,7 @@ class Heard:
 def test_a_log_is_published_under_another_root(
     peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each message in its order, with the payload that it had; what became of it is told as JSON."""
+    """Each message in order, with its payload."""
     one, endpoint = peer
     heard = Heard(one)
     assert run(log, "--speed", "max", "--json", endpoint=endpoint) == ExitCode.OK
@@ -91,7 +84,6 @@ def test_a_log_is_published_under_another_root(
 
 
 def test_what_is_recorded_of_a_replay_is_what_was_replayed(tmp_path: Path, log: str) -> None:
-    """Record, replay, record: message by message the same, but for the root and the times of receipt."""
     endpoint = free_endpoint()
     again = tmp_path / "again"
     words = ["-k", "replay/**", "--root", "replay", "-o", str(again), "--connect", endpoint]
@@ -130,7 +122,6 @@ def test_what_is_recorded_of_a_replay_is_what_was_replayed(tmp_path: Path, log: 
 def test_the_messages_of_a_moment_can_be_played_again_and_again(
     peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a time, to a time, of some keys, several times."""
     one, endpoint = peer
     heard = Heard(one)
     words = ["--from", "0.1", "--to", "0.2", "--key", "fleet/*/chassis/**", "--loop", "3", "--speed", "max"]
@@ -146,7 +137,6 @@ def test_the_messages_of_a_moment_can_be_played_again_and_again(
 
 
 def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: str) -> None:
-    """Each message's, and those of the frames in it."""
     one, endpoint = peer
     heard = Heard(one)
     begun_ns = time.time_ns()
@@ -170,7 +160,7 @@ def test_time_stamps_can_be_those_of_the_present(peer: tuple[Peer, str], log: st
     [("fleet", "fleet"), ("fleet/cruiser-1", "fleet"), ("elsewhere/fleet", "fleet"), ("site", "site")],
 )
 def test_the_logs_own_root_is_refused(tmp_path: Path, root: str, of_robots: str) -> None:
-    """And that of the settings, which say where robots are, whether or not one is there at present."""
+    """Also the root in the settings, with or without a robot there."""
     path = write_samples(tmp_path / "drive.mcap", drive_samples(3, "elsewhere"))
     settings = Settings(robot=RobotSettings(root=of_robots), zenoh=ZenohSettings(connect=[free_endpoint()]))
     with pytest.raises(CommandError) as caught:
@@ -181,7 +171,6 @@ def test_the_logs_own_root_is_refused(tmp_path: Path, root: str, of_robots: str)
 def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
     peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Then the replay does not even begin."""
     one, endpoint = peer
     heard = Heard(one, "fleet/**")
     words = [log, "--root", "fleet", "--force", "--speed", "max"]
@@ -201,7 +190,7 @@ def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
 def test_a_gateway_that_turns_up_ends_the_replay(
     peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Within moments, with exit code 5; what had been sent by then is told."""
+    """Exit code 5."""
     one, endpoint = peer
     heard = Heard(one, "replay/**")
     tokens: list[zenoh.LivelinessToken] = []
@@ -218,14 +207,12 @@ def test_a_gateway_that_turns_up_ends_the_replay(
 
 
 def test_nobody_there_is_unreachable(log: str) -> None:
-    """Exit code 4, and how others could connect."""
     with pytest.raises(CommandError, match="--listen") as caught:
         run(log, "--timeout", "0.1")
     assert caught.value.code is ExitCode.UNREACHABLE
 
 
 def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> None:
-    """No other node is needed; the replay waits for the first who subscribes, and ends cleanly."""
     endpoint = free_endpoint()
     words = ["review", "replay", log, "--listen", endpoint, "--loop", "forever", "--json"]
     process = subprocess.Popen(
@@ -250,7 +237,6 @@ def test_a_viewer_connects_to_the_replay_itself_and_ctrl_c_ends_it(log: str) -> 
 
 
 def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Who lists robots connects too, and receives nothing."""
     endpoint = free_endpoint()
     subscribed: list[zenoh.Subscriber[None]] = []
     looks = 0
@@ -280,14 +266,12 @@ def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFi
     ],
 )
 def test_flags_that_do_not_fit_are_a_mistake(log: str, words: list[str]) -> None:
-    """Exit code 2, before anything is opened; some are said by argparse."""
     with pytest.raises((CommandError, SystemExit)) as caught:
         run(log, *words)
     assert getattr(caught.value, "code", None) == ExitCode.USAGE
 
 
 def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[Peer, str], log: str) -> None:
-    """Exit code 1: no such keys, or another maker's log."""
     _, endpoint = peer
     for words in (["--timeout", "0.1"], ["--listen", "tcp/127.0.0.1:0"]):
         with pytest.raises(CommandError, match="nothing that could be replayed") as caught:
@@ -298,7 +282,7 @@ def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[
 
 
 class Taking:
-    """A network that takes all, with somebody who subscribes and no gateway."""
+    """A network that accepts all samples, with a subscriber and no gateway."""
 
     def __init__(self, *_given: object, waits: bool) -> None:
         assert waits
@@ -312,7 +296,7 @@ class Taking:
     wait_for_subscriber = wait_for_link
 
     def find_gateway(self) -> None:
-        """There is none."""
+        """No gateway."""
 
     attend = close = find_gateway
 
@@ -323,7 +307,6 @@ class Taking:
 def test_of_a_damaged_log_what_can_be_read_is_replayed(
     tmp_path: Path, log: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cut off, or with wrong bytes anywhere: never a traceback, and exit code 3 where something is missing."""
     monkeypatch.setattr(replay, "ZenohOutlet", Taking)
     whole_log = Path(log).read_bytes()
     dice = random.Random(7)  # noqa: S311 - bytes to break, no secret
@@ -346,7 +329,6 @@ def test_of_a_damaged_log_what_can_be_read_is_replayed(
 
 
 def test_what_was_recorded_of_a_replay_is_no_robots(tmp_path: Path, peer: tuple[Peer, str]) -> None:
-    """It can be replayed again, to where it was."""
     one, endpoint = peer
     heard = Heard(one)
     path = write_samples(tmp_path / "replayed.mcap", drive_samples(3, "replay"))
@@ -355,7 +337,6 @@ def test_what_was_recorded_of_a_replay_is_no_robots(tmp_path: Path, peer: tuple[
 
 
 def test_what_was_sent_to_nobody_is_told(log: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """The link was cut in the middle: exit code 3."""
     endpoint = free_endpoint()
     with Peer(endpoint) as one:
         heard = Heard(one, "replay/**")

@@ -1,4 +1,4 @@
-"""A drive of real processes in signed mode, with a revocation in its middle: its log is proven, and runs again."""
+"""A drive of real processes in signed mode, with a revocation: its log is verified and rerun."""
 
 import json
 import signal
@@ -29,7 +29,7 @@ DAY_S = 86_400
 
 
 class SignedDrive(msgspec.Struct, frozen=True):
-    """What was recorded, and where the fleet's authority is."""
+    """A recording, and the path of the fleet's authority."""
 
     logs: Path
     authority: Path
@@ -37,7 +37,7 @@ class SignedDrive(msgspec.Struct, frozen=True):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> SignedDrive:
-    """Ann drives until her grant is revoked; the robot stops by itself, and the gateway ends."""
+    """Ann drives until her grant is revoked; the robot stops, and the gateway ends."""
     directory = tmp_path_factory.mktemp("signed")
     fleet, robot, ann, archive = Fleet(), Party(ROBOT), Party("ann"), Party("archive")
     now_s = int(time.time())
@@ -74,7 +74,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> SignedDrive:
 
 
 def show(settings: Settings, statement: Signed) -> None:
-    """Show the robot a statement, which it takes over."""
     session = join(settings.zenoh)
     try:
 
@@ -88,13 +87,11 @@ def show(settings: Settings, statement: Signed) -> None:
 
 
 def speed_mps(robot: Robot) -> float:
-    """The measured speed; 0 as long as none is known."""
     chassis = robot.state().chassis
     return abs(chassis.speed_mps or 0.0) if chassis is not None else 0.0
 
 
 def drive(settings: Settings, fleet: Fleet, ann: Party) -> None:
-    """Engage and drive; the grant is revoked, and the robot comes to rest."""
     show(settings, fleet.authority.revoke(1))
     with Robot.connect(ROBOT, settings=settings) as robot, robot.lease() as lease:
         wait_until(lambda: robot.state().state.blocked_by == [Reason.NOT_ENGAGED])
@@ -108,7 +105,6 @@ def drive(settings: Settings, fleet: Fleet, ann: Party) -> None:
 
 
 def test_all_of_the_log_is_proven(recorded: SignedDrive) -> None:
-    """Who commanded, with which grant; each file is as its recorder signed it."""
     done = run(["review", "verify", str(recorded.logs), "--authority", str(recorded.authority), "--json"])
     assert done.returncode == 0, done.stdout + done.stderr
     report = json.loads(done.stdout)
@@ -119,7 +115,7 @@ def test_all_of_the_log_is_proven(recorded: SignedDrive) -> None:
 
 
 def test_the_run_comes_out_again_byte_for_byte(recorded: SignedDrive) -> None:
-    """With the end of the lease, and the reasons why nobody may engage, among the inputs."""
+    """The inputs include the end of the lease, and the reasons against engaging."""
     done = run(["review", "rerun", "--json", str(recorded.logs)])
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(done.stdout)

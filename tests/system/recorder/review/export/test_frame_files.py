@@ -18,7 +18,6 @@ FRAMES = (
 
 @pytest.mark.skipif(shutil.which("log2asc") is None, reason="no log2asc is here (Debian: can-utils)")
 def test_can_utils_read_the_candump_log(tmp_path: Path) -> None:
-    """log2asc turns it into ASC, frame by frame."""
     frames = [LoggedFrame("cruiser-1", number % 2 == 1, frame) for number, frame in enumerate(FRAMES)]
     [file] = write_frames(frames, tmp_path)
     out = subprocess.run(

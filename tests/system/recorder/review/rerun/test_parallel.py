@@ -1,4 +1,4 @@
-"""Logs run again by several processes."""
+"""Logs rerun by several processes."""
 
 import os
 from pathlib import Path
@@ -17,7 +17,6 @@ from tests.support.waiting import wait_until
 
 @pytest.fixture(scope="module")
 def day_log() -> bytes:
-    """A day in which the robot is now driven and now at rest."""
     return restful_day(1, rounds=2).rig.log(lag_ns=MS)
 
 
@@ -25,7 +24,6 @@ def day_log() -> bytes:
 def test_the_command_says_the_same_with_several_processes(
     day_log: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of each robot, in the order of their names; also of what is damaged."""
     for robot in ("a", "b"):
         # The attachments' checksums are wrong then.
         (tmp_path / f"{robot}.mcap").write_bytes(day_log.replace(b"cruiser-1", robot.encode() * 9))
@@ -40,13 +38,11 @@ def test_the_command_says_the_same_with_several_processes(
 
 
 def test_a_process_that_is_killed_is_one_clear_error() -> None:
-    """No answer is not the answer that all is the same."""
     with processes(1) as pool, pytest.raises(CommandError, match="was killed"):
         outcome_of(pool.submit(os._exit, 9), lambda _: None)
 
 
 def test_whoever_stops_it_does_not_wait(day_log: bytes, tmp_path: Path) -> None:
-    """What runs ends in the midst of its reading, what waits is not begun."""
     path = tmp_path / "cruiser-1-20260102T030405Z.mcap"
     path.write_bytes(day_log)
     (task,) = rerun_tasks(find_logs([path], Faults()), TriedSettings(None, "", {}), Faults())

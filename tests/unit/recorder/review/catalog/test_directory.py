@@ -1,4 +1,4 @@
-"""The catalog of a directory, held against one that is made anew from the logs."""
+"""The catalog of a directory, compared with a new one made from the logs."""
 
 import fcntl
 import os
@@ -29,7 +29,7 @@ TIMES = count(1_800_000_000_000_000_000, 1_000_000_000)
 
 @lru_cache
 def contents() -> tuple[bytes, ...]:
-    """Logs of several sorts: drives, a restart, somebody else's, a damaged one, and what is no log."""
+    """Logs of several kinds: drives, a restart, foreign, damaged, and no log."""
     with TemporaryDirectory() as directory:
         path = Path(directory) / "a.mcap"
         drive = write_messages(path, drive_messages(8)).read_bytes()
@@ -48,7 +48,6 @@ def touch(path: Path) -> None:
 
 
 def refreshed(path: Path, *, kept: Path | None = None, faults: Faults | None = None) -> Catalog:
-    """The catalog of a directory, brought up to date."""
     catalog = Catalog(path, SCHEMA.names, kept)
     catalog.refresh(Faults() if faults is None else faults)
     return catalog
@@ -68,7 +67,6 @@ CHANGES = st.one_of(
 
 @given(changes=st.lists(CHANGES, max_size=8))
 def test_a_catalog_that_grew_is_the_one_that_is_made_anew(changes: list[tuple[str, str, int]]) -> None:
-    """Whatever came, changed and went meanwhile, and whenever the catalog was brought up to date."""
     with TemporaryDirectory() as name:
         directory = Path(name) / "logs"
         directory.mkdir()
@@ -89,7 +87,6 @@ def test_a_catalog_that_grew_is_the_one_that_is_made_anew(changes: list[tuple[st
 
 
 def test_a_row_says_what_the_questions_say(tmp_path: Path) -> None:
-    """Distance, operator, stops with their reasons, versions and settings of a drive that a bumper ends."""
     write_messages(tmp_path / "a.mcap", drive_messages(60))
     (row,) = rows(tmp_path)
     info = read_info(tmp_path / "a.mcap")
@@ -109,7 +106,6 @@ def test_a_row_says_what_the_questions_say(tmp_path: Path) -> None:
 
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_a_flipped_bit_changes_no_answer(place: float, bit: int) -> None:
-    """The pages have checksums; where the damage is elsewhere the catalog is made anew."""
     with TemporaryDirectory() as name:
         directory = Path(name)
         put(directory / "a.mcap", contents()[0])
@@ -122,7 +118,6 @@ def test_a_flipped_bit_changes_no_answer(place: float, bit: int) -> None:
 
 
 def test_a_log_that_is_being_written_has_no_row_and_is_named(tmp_path: Path) -> None:
-    """It would be old at once; what a killed recorder left has one."""
     put(tmp_path / "a.mcap.part", contents()[4])
     put(tmp_path / "b.mcap.part", contents()[4])
     with (tmp_path / "a.mcap.part").open("rb") as stream:
@@ -135,7 +130,6 @@ def test_a_log_that_is_being_written_has_no_row_and_is_named(tmp_path: Path) -> 
 
 
 def test_what_cannot_be_read_has_a_row_and_is_tried_once(tmp_path: Path) -> None:
-    """Until it changes; a file that may not be opened, or is not there, may be at any time."""
     put(tmp_path / "a.mcap", contents()[0])
     put(tmp_path / "b.mcap", b"")
     put(tmp_path / "c.mcap", b"no log at all")
@@ -155,8 +149,6 @@ def test_what_cannot_be_read_has_a_row_and_is_tried_once(tmp_path: Path) -> None
 
 
 def test_a_disk_that_takes_no_catalog_costs_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A line says that the logs are read again the next time; nothing half written is left."""
-
     def refuse(*_given: object, **_named: object) -> None:
         raise OSError(30, "Read-only file system")
 
@@ -169,13 +161,11 @@ def test_a_disk_that_takes_no_catalog_costs_no_answer(tmp_path: Path, monkeypatc
 
 
 def is_held(path: Path) -> bool:
-    """Whether the catalog is there, and all of it holds."""
     catalog = Catalog(path, SCHEMA.names)
     return bool(catalog.table.num_rows) and not catalog.stale and not catalog.notes
 
 
 def test_only_what_is_new_or_has_changed_is_opened(tmp_path: Path) -> None:
-    """What was read before an interruption is kept; what holds is not written again."""
     refreshed(tmp_path)
     assert not list(tmp_path.iterdir())
     for number, name in enumerate(("a.mcap", "b.mcap", "\udcff.mcap")):
@@ -236,7 +226,6 @@ CATALOGS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 @pytest.mark.parametrize("kind", CATALOGS)
 def test_a_catalog_that_cannot_be_read_is_made_anew_with_a_line(tmp_path: Path, kind: str) -> None:
-    """And the answer is the same."""
     change, why = CATALOGS[kind]
     put(tmp_path / "a.mcap", contents()[0])
     truth = rows(tmp_path)
@@ -250,7 +239,6 @@ def test_a_catalog_that_cannot_be_read_is_made_anew_with_a_line(tmp_path: Path, 
 
 
 def test_what_a_catalog_unpacks_to_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beyond that it is none. What the process may take afterwards is as before."""
     put(tmp_path / "a.mcap", contents()[0])
     refreshed(tmp_path)
     before = resource.getrlimit(resource.RLIMIT_DATA)
@@ -262,7 +250,6 @@ def test_what_a_catalog_unpacks_to_is_bounded(tmp_path: Path, monkeypatch: pytes
 
 
 def test_what_no_catalog_of_ours_holds_makes_it_none(tmp_path: Path) -> None:
-    """Null where no row has it: it is made anew, and no command ends in a fault of ours."""
     put(tmp_path / "a.mcap", contents()[0])
     refreshed(tmp_path)
     path = tmp_path / CATALOG_NAME
@@ -276,7 +263,7 @@ def test_what_no_catalog_of_ours_holds_makes_it_none(tmp_path: Path) -> None:
 
 
 def test_no_link_beside_a_catalog_leads_its_writing_elsewhere(tmp_path: Path) -> None:
-    """Whoever made the directory may know the name under which it is written first."""
+    """The temporary file's name is predictable."""
     precious = saved(tmp_path / "elsewhere" / "precious", b"as it was")
     logs = tmp_path / "logs"
     put(logs / "a.mcap", contents()[0])

@@ -1,4 +1,4 @@
-"""The named searches: each condition, held against rows that do and do not fit."""
+"""The named searches: each condition, with rows that do and do not match."""
 
 from typing import Any
 
@@ -56,13 +56,11 @@ def row(**changes: Any) -> CatalogRow:  # noqa: ANN401 - any field of a row
 
 
 def moment(at_s: int, **changes: Any) -> LoggedMoment:  # noqa: ANN401 - any field of a moment
-    """A stop so many seconds after the beginning, or what is made of it."""
     time_ns = WALL_NS + at_s * SECOND
     return msgspec.structs.replace(STOP, **{"time_ns": time_ns, "last_ns": time_ns, **changes})
 
 
 def found(search: str, rows: list[CatalogRow], **conditions: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - any
-    """What is found in a catalog of these rows, of which no more than the search's columns is read."""
     return find(to_table(rows).select(list(SEARCHES[search].columns)), search, FindConditions(**conditions))
 
 
@@ -94,7 +92,7 @@ MOMENTS = [
     ],
 )
 def test_each_condition_on_what_happened(search: str, conditions: dict[str, Any], seconds: list[int]) -> None:
-    """The second one lasts until 9 s after the beginning. No text of a condition is part of the statement."""
+    """No text of a condition is part of the statement."""
     rows = [row(names=["cruiser-1", "mule"], moments=MOMENTS)]
     assert [one["time_ns"] for one in found(search, rows, **conditions)] == [
         WALL_NS + at * SECOND for at in seconds
@@ -114,7 +112,6 @@ def test_each_condition_on_what_happened(search: str, conditions: dict[str, Any]
 )
 @pytest.mark.parametrize("search", ["drives", "logs"])
 def test_each_condition_on_drives_and_logs(search: str, conditions: dict[str, Any], files: list[str]) -> None:
-    """A drive is of a reason where it was stopped for it, and of an operator who drove that robot in its log."""
     start_ns = WALL_NS + 100 * SECOND
     drivers = [LoggedDriver("cruiser-1", "alice", 1.0, 2.0)]
     later = msgspec.structs.replace(DRIVE, robot="mule", start_ns=start_ns, end_ns=start_ns + SECOND)
@@ -126,7 +123,6 @@ def test_each_condition_on_drives_and_logs(search: str, conditions: dict[str, An
 
 
 def test_a_drive_is_of_its_own_robot_s_operators_and_stops() -> None:
-    """Another robot of the log may have others."""
     mule = msgspec.structs.replace(DRIVE, robot="mule")
     drivers = [LoggedDriver("cruiser-1", "alice", 1.0, 2.0), LoggedDriver("mule", "bob", 1.0, 2.0)]
     rows = [
@@ -139,7 +135,6 @@ def test_a_drive_is_of_its_own_robot_s_operators_and_stops() -> None:
 
 
 def test_what_several_logs_hold_is_one_answer_and_a_covered_incident_none() -> None:
-    """Of the log that begins first."""
     later = row(file="a-later.mcap", start_ns=WALL_NS + 1, moments=[STOP], drives=[DRIVE])
     first = row(file="b-first.mcap", moments=[STOP], drives=[DRIVE])
     covered = row(file="c.mcap", is_covered=True, moments=[moment(7)])
@@ -149,7 +144,6 @@ def test_what_several_logs_hold_is_one_answer_and_a_covered_incident_none() -> N
 
 
 def test_the_newest_are_the_last_ones_and_nothing_is_found_in_nothing() -> None:
-    """By their time, oldest first."""
     columns = list(SEARCHES["events"].columns)
     rows = to_table([row(moments=MOMENTS)]).select(columns)
     assert [one["kind"] for one in find(rows, "events", FindConditions(), 2)] == ["incident", "gateway"]
@@ -158,7 +152,6 @@ def test_the_newest_are_the_last_ones_and_nothing_is_found_in_nothing() -> None:
 
 
 def test_a_log_is_answered_with_all_but_its_moments() -> None:
-    """As JSON has it, and whatever numbers a log's maker put there."""
     (answer,) = found("logs", [row(stops={"deadman": 2}, distance_m=float("inf"), lost=None)])
     assert answer == {
         name: value
@@ -169,5 +162,4 @@ def test_a_log_is_answered_with_all_but_its_moments() -> None:
 
 
 def test_the_command_offers_every_search() -> None:
-    """Its help needs no library of the extra."""
     assert set(OFFERED) == set(SEARCHES)

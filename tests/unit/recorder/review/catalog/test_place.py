@@ -1,4 +1,4 @@
-"""The catalog of a place in an object store: rows beside logs, and what becomes of those that do not hold."""
+"""The catalog of a place in an object store: rows beside logs, and invalid rows."""
 
 from pathlib import Path
 
@@ -25,7 +25,6 @@ COLUMNS = SEARCHES["logs"].columns
 
 @pytest.fixture
 def store(tmp_path: Path) -> FakeObjects:
-    """A store with two logs, each with its row, and what else an upload leaves."""
     objects = FakeObjects()
     for name, count in ((NAME, 60), (OTHER, 30)):
         path = write_messages(tmp_path / Path(name).name, drive_messages(count))
@@ -49,7 +48,6 @@ CACHES: list[LogCache] = []
 
 
 def brought_up(store: FakeObjects) -> tuple[PlaceCatalog, Faults]:
-    """The catalog, complete, and what could not be read."""
     faults = Faults()
     catalog = PlaceCatalog(store, PLACE, COLUMNS, CACHES[0])
     catalog.refresh(faults)
@@ -61,7 +59,6 @@ def logs_read(store: FakeObjects) -> set[str]:
 
 
 def test_rows_tell_of_a_place_and_no_log_is_read(store: FakeObjects) -> None:
-    """Each under the name that its log has in the store."""
     catalog, faults = brought_up(store)
     assert files(catalog) == {NAME: 124, OTHER: 64}
     assert (logs_read(store), faults.told, catalog.notes) == (set(), [], [])
@@ -71,7 +68,6 @@ def test_rows_tell_of_a_place_and_no_log_is_read(store: FakeObjects) -> None:
 def test_a_row_that_does_not_hold_is_made_again_from_its_log(
     store: FakeObjects, monkeypatch: pytest.MonkeyPatch, trouble: str
 ) -> None:
-    """Of which a copy is fetched, once."""
     row = NAME + ROW_SUFFIX
     match trouble:
         case "lost":
@@ -96,7 +92,6 @@ def test_a_row_that_does_not_hold_is_made_again_from_its_log(
 
 
 def test_logs_of_other_makers_and_what_is_no_log_are_told_apart(store: FakeObjects) -> None:
-    """The ones have a row of little, the others are named; an old list may name what is gone."""
     store.objects |= {"theirs.mcap": foreign_log(), "none.mcap": b"no log", "empty.mcap": b""}
     store.old_names = [
         *(ListedObject(name, len(data)) for name, data in store.objects.items()),
@@ -114,7 +109,6 @@ def test_logs_of_other_makers_and_what_is_no_log_are_told_apart(store: FakeObjec
 
 @pytest.mark.parametrize("step", ["list", "rows", "log"])
 def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, step: str) -> None:
-    """It is not asked for every row, and no half of the logs is taken for all."""
     match step:
         case "list":
             store.is_gone = True
@@ -129,6 +123,5 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
 
 
 def test_a_server_that_lists_nothing_cannot_be_searched(store: FakeObjects) -> None:
-    """HTTP knows no directories."""
     with pytest.raises(CommandError, match="does not list what it holds"):
         PlaceCatalog(store, StoreAddress("https://logs.example.com/plant-1"), COLUMNS, CACHES[0])

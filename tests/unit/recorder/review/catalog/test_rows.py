@@ -1,4 +1,4 @@
-"""A row of the catalog, of logs whose contents are known."""
+"""A row of the catalog, for logs with known contents."""
 
 from pathlib import Path
 
@@ -11,7 +11,6 @@ from tests.support.logs import gears, own_log, saved
 
 
 def made(path: Path, data: bytes) -> CatalogRow:
-    """The row of a log with this content, by way of its table."""
     row = row_of(saved(path, data), path.name, 5)
     assert to_rows(to_table([row])) == [row]
     return row
@@ -21,7 +20,6 @@ def made(path: Path, data: bytes) -> CatalogRow:
     ("at_ns", "time_ns"), [("1800000000000000123", 1_800_000_000_000_000_123), ("9" * 19, NEVER_NS)]
 )
 def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> None:
-    """With the reason that its recorder gave; a time beyond all is as late as can be."""
     kept = {"at_ns": at_ns, "because": "it swerved", "file": "b.incident.mcap"}
     row = made(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, kept)]))
     assert row.moments == [
@@ -43,13 +41,11 @@ def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> No
 
 @pytest.mark.parametrize("at_ns", ["", "soon", "-5", "1.5", "٣", "9" * 40])
 def test_an_incident_without_a_time_is_none(tmp_path: Path, at_ns: str) -> None:
-    """Metadata may be anybody's."""
     row = made(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, {"at_ns": at_ns})]))
     assert not row.moments
 
 
 def test_counts_beyond_a_column_are_cut(tmp_path: Path) -> None:
-    """An account in a log may say anything; times of MCAP reach further than those of a column."""
     account = {"fleet/x": f'{{"lost_link": {2**64 - 1}}}'}
     data = own_log([gears(0, 1, 2**64 - 5)], metadata=[("cruiser.completeness", account)])
     row = row_of(saved(tmp_path / "a.mcap", data), "a.mcap", 5)
