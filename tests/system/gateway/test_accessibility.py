@@ -58,13 +58,13 @@ STATES: Final[dict[str, tuple[Message, ...]]] = {
     "ready": (_STANDS, _READY),
     "telemetry": (_STANDS,),
 }
-"""Of each word what such a robot publishes, beside its health. It has the word for its name, with a hyphen."""
+"""Samples of a robot for each word, besides its health. The robot's name is the word."""
 
 assert STATES.keys() == WORDS.keys()
 
 
 class _EverythingAtOnce(FakeDeskListener):
-    """All of these robots, and a recorder; the one that is latched has a past."""
+    """All these robots and a recorder; the latched one has events."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ class _EverythingAtOnce(FakeDeskListener):
 
 
 def _stop(_settings: Settings, robot: str, _operator: str, _timeout_s: float) -> StopReport:
-    """Of one robot the best that can come of a stop, of all of them everything."""
+    """Return success for one robot, and every outcome for all."""
     if robot != keys.ALL:
         return StopReport([robot], {}, {}, [], linked=True)
     blocked, held = {"blocked": "its bus is down"}, {"in-control": "its speed is unknown"}
@@ -97,7 +97,7 @@ def _stop(_settings: Settings, robot: str, _operator: str, _timeout_s: float) ->
 
 @contextmanager
 def desk_of_all_states(logs: Path) -> Iterator[str]:
-    """Serve the desk meanwhile, with these logs. Yields its address."""
+    """Serve the desk with these logs. Yields its address."""
     ended = threading.Event()
     with ExitStack() as stack:
         listening = stack.enter_context(socket.create_server((HOST, 0)))
@@ -136,7 +136,6 @@ CUT: Final = """() => [...document.querySelectorAll(".band, .band *, .why, .why 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A desk with robots in all states, and a log of one of them."""
     logs = tmp_path_factory.mktemp("logs")
     (logs / LOG).write_bytes(recorded(front_bumper))
     with desk_of_all_states(logs) as address:
@@ -144,7 +143,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 
 def overview(page: Page, address: str) -> None:
-    """All robots; a stop of all, of which some did not come to rest."""
+    """All robots, after a stop of all in which some did not come to rest."""
     page.goto(address)
     page.locator("tr[data-robot=telemetry]").wait_for()
     page.locator("#stop-all").click()
@@ -157,7 +156,7 @@ def wall(page: Page, address: str) -> None:
 
 
 def robot(page: Page, address: str) -> None:
-    """One that is latched, with its reasons and events, the keys unfolded; a stop of it."""
+    """A latched robot with reasons and events, the keys unfolded, after a stop."""
     page.goto(f"{address}#/robot/needs-reset")
     page.locator(".why li").first.wait_for()
     page.locator(".events .error").first.wait_for()
@@ -168,13 +167,11 @@ def robot(page: Page, address: str) -> None:
 
 
 def kiosk(page: Page, address: str) -> None:
-    """One that moves, for itself."""
     page.goto(f"{address}#/kiosk/driving")
     page.locator(".band .word", has_text=re.compile("driving|行驶中")).wait_for()
 
 
 def report(page: Page, address: str) -> None:
-    """A log's report, as the desk serves it."""
     page.goto(f"{address}reports/{LOG}", timeout=REPORT_MS)
     page.locator("html[data-drawn]").wait_for(state="attached")
 
@@ -195,10 +192,7 @@ def test_every_page_is_for_everybody(
     address: str,
     running_browser: Browser,
 ) -> None:
-    """Names for whoever hears the page, contrast for whoever sees badly, the keyboard for whoever has no mouse.
-
-    At 320 pixels nobody scrolls sideways to read a line, or to reach a button (WCAG 1.4.10, reflow).
-    """
+    """WCAG 2.2: names, contrast, keyboard, and no sideways scrolling at 320 pixels (1.4.10)."""
     context = running_browser.new_context(locale=language, color_scheme=theme)
     try:
         page = context.new_page()
@@ -212,7 +206,6 @@ def test_every_page_is_for_everybody(
 def test_on_a_phone_stop_stays_under_the_thumb_and_no_warning_is_cut(
     address: str, running_browser: Browser
 ) -> None:
-    """Whatever is said, whichever robot is shown, however far the page is scrolled."""
     with running_browser.new_context(viewport={"width": 360, "height": 640}, has_touch=True) as context:
         page = context.new_page()
         stops = []

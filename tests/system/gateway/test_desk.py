@@ -1,4 +1,4 @@
-"""The desk in a real browser: what it shows, and every way in which whoever holds a robot lets go of it."""
+"""The desk in a real browser: what it shows, and every way to let go of a robot."""
 
 from __future__ import annotations
 
@@ -67,7 +67,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DeskScene]:
 
 
 def test_a_robot_is_seen_at_once_with_why_it_stands(scene: DeskScene, context: BrowserContext) -> None:
-    """In the overview as a row, and closely with its reasons; on the wall as a tile."""
     page = context.new_page()
     page.goto(scene.address)
     row = page.locator("tr[data-robot=cruiser-1]")
@@ -90,7 +89,6 @@ def test_a_robot_is_seen_at_once_with_why_it_stands(scene: DeskScene, context: B
 
 @pytest.mark.night
 def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserContext) -> None:
-    """The words, and the language of the page for who reads it aloud."""
     page = open_robot(context, scene)
     page.get_by_role("button", name="中文").click()
     page.locator(".band .word", has_text="就绪").wait_for()
@@ -105,7 +103,7 @@ def test_it_speaks_chinese_and_remembers_it(scene: DeskScene, context: BrowserCo
 def test_whatever_takes_the_pointer_away_stops_the_robot(
     scene: DeskScene, running_browser: Browser, way: str
 ) -> None:
-    """And nothing moves it again until somebody presses anew: the frames on the bus are the judge."""
+    """The frames on the bus are the judge."""
     context = running_browser.new_context(locale="en-GB")
     try:
         page = open_robot(context, scene)
@@ -120,7 +118,6 @@ def test_whatever_takes_the_pointer_away_stops_the_robot(
 
 
 def test_keys_drive_while_they_are_held(scene: DeskScene, context: BrowserContext) -> None:
-    """A key that the page lost the focus over counts when it is pressed anew, not before."""
     page = open_robot(context, scene)
     drive(scene, page, "ArrowUp")
     page.keyboard.up("ArrowUp")
@@ -142,7 +139,6 @@ def speed_mps(page: Page) -> float:
 
 
 def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, context: BrowserContext) -> None:
-    """Of a robot that is driven by somebody else; it stands latched until somebody resets it here."""
     page, other = open_robot(context, scene), open_robot(context, scene)
     # Below 0.05 m/s no feedback has shown that the robot moves, so a stop could not be confirmed by measurement. A
     # busy machine may let it stop by its deadman first.
@@ -163,7 +159,6 @@ def test_the_remote_stop_is_one_key_and_says_what_is_known(scene: DeskScene, con
 
 @pytest.mark.night
 def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None:
-    """Of a robot that hangs it says that it did not reply; of a desk that is gone, that nothing was sent."""
     with desk_scene() as scene:
         page = open_robot(context, scene)
         page.goto(scene.address)
@@ -186,7 +181,6 @@ def test_stop_all_never_says_more_than_is_known(context: BrowserContext) -> None
 def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
     number: signal.Signals, context: BrowserContext
 ) -> None:
-    """The robot stops by its deadman; the page does not drive on by itself when the desk is back."""
     with desk_scene() as scene:
         page = open_robot(context, scene)
         drive(scene, page)
@@ -201,7 +195,7 @@ def test_a_desk_that_dies_while_somebody_drives_stops_the_robot(
 
 
 def flood(address: str, said: bytes, ended: threading.Event) -> None:
-    """A raw socket of this machine opens the WebSocket, and says this over and over; again when it is cut off."""
+    """Open the WebSocket from a raw socket, and send these bytes repeatedly; reconnect when it is closed."""
     host = urlparse(address).netloc
     place = ("127.0.0.1", int(host.rpartition(":")[2]))
     head = "".join(f"{name}: {value}\r\n" for name, value in upgrade(f"http://{host}", host).items())
@@ -219,7 +213,7 @@ def flood(address: str, said: bytes, ended: threading.Event) -> None:
 
 @pytest.mark.parametrize("opcode", [by_night(0x89), 0x8A, by_night(0x82)], ids=["pings", "pongs", "messages"])
 def test_no_flood_of_other_connections_stops_a_driven_robot(opcode: int, context: BrowserContext) -> None:
-    """Megabytes of the smallest frames, from the address of the browser; a stop from its page is carried out."""
+    """Megabytes of the smallest frames, from the browser's address; a stop from its page still works."""
     with desk_scene() as scene:
         page = open_robot(context, scene)
         ended = threading.Event()
@@ -247,7 +241,6 @@ def test_no_flood_of_other_connections_stops_a_driven_robot(opcode: int, context
 
 
 def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context: BrowserContext) -> None:
-    """Within seconds, on the overview too; once it goes on, all is as before."""
     with desk_scene() as scene:
         page = context.new_page()
         page.goto(scene.address)
@@ -267,7 +260,6 @@ def test_a_desk_that_hangs_shows_nothing_as_current_and_no_stop_as_made(context:
 
 @pytest.mark.night
 def test_a_stop_fails_for_no_name(scene: DeskScene, context: BrowserContext) -> None:
-    """Whatever another page of this address has left in the browser."""
     page = open_robot(context, scene)
     page.evaluate("localStorage.setItem('operator', 'an/n *')")
     page.keyboard.press("Escape")
@@ -290,7 +282,6 @@ LEAVE_WHILE_IT_ASKS = """() => {
 def test_who_leaves_while_the_lease_is_asked_for_engages_nothing(
     scene: DeskScene, context: BrowserContext
 ) -> None:
-    """Nobody looks at the robot any more: its lease is given back, and the chassis is told nothing."""
     page = open_robot(context, scene)
     page.evaluate(LEAVE_WHILE_IT_ASKS)
     before = len(scene.listener.bursts)
@@ -301,7 +292,6 @@ def test_who_leaves_while_the_lease_is_asked_for_engages_nothing(
 
 
 def test_two_browsers_never_drive_one_robot(scene: DeskScene, context: BrowserContext) -> None:
-    """The second is told who drives. Where it takes over the robot stops, and the first drives no longer."""
     first, second = open_robot(context, scene), open_robot(context, scene)
     name_page(first, "ann")
     name_page(second, "bob")
@@ -330,7 +320,6 @@ def name_page(page: Page, name: str) -> None:
 def test_two_browsers_have_two_names_and_are_asked_for_them_once(
     scene: DeskScene, running_browser: Browser
 ) -> None:
-    """Whoever drives is known by name: to the others, and to the log by the events of the lease."""
     with (
         running_browser.new_context(locale="en-GB") as one,
         running_browser.new_context(locale="en-GB") as another,
@@ -357,7 +346,6 @@ def test_two_browsers_have_two_names_and_are_asked_for_them_once(
 
 @pytest.mark.night
 def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserContext) -> None:
-    """As the chassis says; without control there is no button."""
     page = open_robot(context, scene)
     lights = page.get_by_role("button", name="Lights")
     assert lights.is_hidden()
@@ -375,7 +363,6 @@ def test_lamps_and_horn_are_the_driver_s(scene: DeskScene, context: BrowserConte
 def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
     scene: DeskScene, context: BrowserContext
 ) -> None:
-    """It counts in the page's name until somebody sees to it. Cured, it is gone, and who saw to it too."""
     overview = context.new_page()
     overview.goto(scene.address)
     page = open_robot(context, scene)
@@ -393,7 +380,6 @@ def test_an_alarm_is_acknowledged_for_all_and_cured_beside_its_reason(
 
 @pytest.mark.night
 def test_a_kiosk_shows_one_robot_and_leads_nowhere(scene: DeskScene, context: BrowserContext) -> None:
-    """It can be stopped, and driven by who may."""
     page = context.new_page()
     page.goto(f"{scene.address}#/kiosk/cruiser-1")
     wait_ready(page)
@@ -414,7 +400,7 @@ def signed(tmp_path: Path) -> Iterator[tuple[DeskScene, ProvisionedFleet]]:
 
 
 def let_ann_in(page: Page, fleet: ProvisionedFleet, directory: Path) -> None:
-    """Have this browser's key granted: from then on it signs as ann."""
+    """Have this browser's key granted to ann."""
     name_page(page, "ann")
     page.get_by_text("Keys", exact=True).click()
     with page.expect_download() as download:
@@ -447,7 +433,6 @@ NOTE_WHAT_IS_SHOWN = """() => {
 def test_who_drives_is_shown_no_speed_that_the_robot_did_not_sign(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
 ) -> None:
-    """Whatever somebody else publishes on the robot's keys, or sends again of what it said before."""
     scene, fleet = signed
     page = open_robot(context, scene)
     let_ann_in(page, fleet, tmp_path)
@@ -476,7 +461,6 @@ def test_who_drives_is_shown_no_speed_that_the_robot_did_not_sign(
 def test_a_browser_signs_with_a_key_of_its_own(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
 ) -> None:
-    """It asks for a grant, and drives within it. Without one nothing moves; stops need none."""
     scene, fleet = signed
     page = open_robot(context, scene)
     page.get_by_role("button", name="Take control").click()
@@ -507,7 +491,6 @@ def test_a_browser_signs_with_a_key_of_its_own(
 def test_a_bundle_of_somebody_else_is_refused(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext
 ) -> None:
-    """With one line; the browser goes on as before."""
     scene, fleet = signed
     page = open_robot(context, scene)
     page.get_by_text("Keys", exact=True).click()
@@ -520,7 +503,6 @@ def test_a_bundle_of_somebody_else_is_refused(
 def test_a_bundle_that_was_changed_or_swapped_on_its_way_lets_nobody_in(
     signed: tuple[DeskScene, ProvisionedFleet], context: BrowserContext, tmp_path: Path
 ) -> None:
-    """Another authority shows its own fingerprint; one that was compared here is taken over without asking."""
     scene, fleet = signed
     page = open_robot(context, scene)
     let_ann_in(page, fleet, tmp_path)
@@ -561,7 +543,6 @@ def upgrade(origin: str, host: str) -> dict[str, str]:
 
 
 def test_no_other_page_gets_in(scene: DeskScene) -> None:
-    """Nor one whose name was made to point here; the page itself may load and connect to this server alone."""
     host = urlparse(scene.address).netloc
     page = ask(scene.address)
     assert page.status == 200
@@ -580,7 +561,6 @@ def test_no_other_page_gets_in(scene: DeskScene) -> None:
 
 
 def test_the_page_weighs_less_than_300_kilobytes() -> None:
-    """All of its files: it works without a network, and over a slow link."""
     root = Path(__file__).parents[3]
     pages = [root / "gateway" / "desk" / "page", root / "schemas" / "web" / "page"]
     assert sum(file.stat().st_size for page in pages for file in page.rglob("*") if file.is_file()) < 300_000

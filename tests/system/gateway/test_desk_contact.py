@@ -1,4 +1,4 @@
-"""A robot that the page does not hear, in a real browser: whichever process between them dies or hangs."""
+"""A robot without contact to the page, in a real browser: any process between them dies or hangs."""
 
 import re
 import signal
@@ -19,13 +19,13 @@ LONG_S = 4.0  # the page goes on saying so, with the time; long enough for the d
 
 
 def lost_s(page: Page) -> float:
-    """For how long the page says that it has no contact; 0 where it does not."""
+    """Return how long the page says that it has no contact; 0 if it does not."""
     found = LOST.search(page.locator("main").inner_text())
     return float(found[1]) if found else 0.0
 
 
 def assert_nothing_old_is_shown(page: Page) -> None:
-    """No control but STOP, nobody who drives, no value of the robot."""
+    """Only STOP, no driver, and no value of the robot."""
     text = page.locator("main").inner_text()
     assert "You are driving" not in text
     assert "m/s" not in text.replace("Speed, m/s", "")
@@ -46,10 +46,7 @@ def victim(scene: DeskScene, name: str) -> Running:
 def test_a_robot_that_is_not_heard_is_nobody_s(
     name: str, number: signal.Signals, running_browser: Browser, tmp_path: Path
 ) -> None:
-    """Whoever drove it is told at once that it may be moving; nothing old is shown, and only STOP is left.
-
-    The page judges by its own clock: no process between it and the robot has to notice anything.
-    """
+    """The page judges by its own clock: no process between it and the robot has to notice anything."""
     with desk_scene(routed=tmp_path) as scene, running_browser.new_context() as context:
         page = open_robot(context, scene)
         drive(scene, page)
@@ -77,7 +74,6 @@ NOTE_WHETHER_IT_IS_SHOWN = """() => {
 def test_what_waited_in_a_desk_that_hung_is_not_what_the_robot_does(
     running_browser: Browser, tmp_path: Path
 ) -> None:
-    """The gateway dies while the desk hangs: what the desk still has of it, once it goes on, is not shown."""
     with desk_scene(routed=tmp_path) as scene, running_browser.new_context() as context:
         page = open_robot(context, scene)
         scene.desk.process.send_signal(signal.SIGSTOP)
@@ -94,7 +90,6 @@ def test_what_waited_in_a_desk_that_hung_is_not_what_the_robot_does(
 
 @pytest.mark.night
 def test_what_is_shown_again_after_a_pause_is_all_of_it(running_browser: Browser) -> None:
-    """A desk that goes on after a moment sends only what has changed; a robot that has not is there again too."""
     with desk_scene() as scene, running_browser.new_context() as context:
         page = context.new_page()
         page.goto(scene.address)

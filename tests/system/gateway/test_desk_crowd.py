@@ -1,4 +1,4 @@
-"""The desk with many robots and many browsers: nothing breaks, and who is slow gets the newest."""
+"""The desk with many robots and many browsers: nothing breaks, and slow ones get the newest."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ from tests.support.waiting import wait_until
 
 ROBOTS = 200
 BROWSERS = 50
-MEMORY_MAX_BYTES = 300 << 20
-"""Of the desk's process with all of them. It is 120 MB, of which Python and Zenoh take half."""
+MEMORY_MAX_BYTES = 300 << 20  # of the desk's process; it takes 120 MB, half of it Python and Zenoh
 
 pytestmark = pytest.mark.timeout(400)
 
 
 def a_browser_that_reads_nothing(address: str) -> socket.socket:
-    """It opens the WebSocket, looks at a robot, and never reads."""
     place = urlparse(address).netloc
     host, _, port = place.rpartition(":")
     stuck = socket.create_connection((host, int(port)))
@@ -47,7 +45,6 @@ def a_browser_that_reads_nothing(address: str) -> socket.socket:
 
 @pytest.mark.night
 def test_two_hundred_robots_and_fifty_browsers_on_one_desk() -> None:
-    """Each browser sees all robots and the one that it looks at; a real one draws them; one reads nothing."""
     with ExitStack() as stack:
         endpoint = stack.enter_context(robots(ROBOTS))
         desk = stack.enter_context(Running("desk", "--listen", "127.0.0.1:0", "--connect", endpoint))

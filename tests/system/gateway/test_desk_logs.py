@@ -1,4 +1,4 @@
-"""The desk's page of logs in a real browser, alone and beside a robot that is driven."""
+"""The desk's page of logs in a real browser, alone and beside a driven robot."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ from tests.support.waiting import wait_until
 from tests.system.recorder.cli.review.test_memory import bomb, tiny, zeros
 
 LOG: Final = "cruiser-1-20231114T221320Z.mcap"
-STRANGE: Final = 'a b#%3C"&<img src=x>\u202epacm.mcap'
-"""A name that somebody has made up, which would be read from its other end."""
+STRANGE: Final = 'a b#%3C"&<img src=x>\u202epacm.mcap'  # a made-up name that reads from right to left
 
 STOP: Final = "2023-11-14T22:13:22.040Z"
 
@@ -43,7 +42,7 @@ QUESTIONS_S: Final = 500.0  # hostile and large logs take their time, beside eve
 
 @contextmanager
 def opened(browser: Browser, **options: object) -> Iterator[Page]:
-    """A page with a profile of its own. One that complains in the console fails the test."""
+    """A page with its own profile. Errors in its console fail the test."""
     complaints: list[str] = []
     context = browser.new_context(**{"locale": "en-GB", **options})  # type: ignore[arg-type]
     context.set_default_timeout(ANSWER_MS)
@@ -58,7 +57,7 @@ def opened(browser: Browser, **options: object) -> Iterator[Page]:
 
 @contextmanager
 def served(directory: Path, *words: str) -> Iterator[str]:
-    """The address of a desk of these logs alone. It ends as it should."""
+    """Serve a desk of these logs alone. Yields its address."""
     words = ("--logs", str(directory), "--logs-only", "--listen", "127.0.0.1:0", *words)
     with Running("desk", *words) as running:
         yield running.wait_says(r"desk: (http://127\.0\.0\.1:\d+/)")[1]
@@ -68,7 +67,7 @@ def served(directory: Path, *words: str) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log of a drive that a bumper ended, and one of somebody who means harm."""
+    """A log of a drive that a bumper ended, and a hostile one."""
     directory = tmp_path_factory.mktemp("logs")
     (directory / LOG).write_bytes(recorded(front_bumper))
     harmful = msgspec.structs.replace(event(50), text=HOSTILE)
@@ -91,7 +90,6 @@ def ask(address: str, path: str, **headers: str) -> int:
 
 
 def test_a_stop_is_found_explained_and_reported(address: str, running_browser: Browser) -> None:
-    """By the form, whose search the address says; what cannot be understood is said in a line."""
     with opened(running_browser) as page:
         page.goto(address)
         page.get_by_role("heading", name="Incidents").wait_for()
@@ -116,7 +114,6 @@ def test_a_stop_is_found_explained_and_reported(address: str, running_browser: B
 
 
 def test_nothing_in_a_log_or_its_name_becomes_html(address: str, running_browser: Browser) -> None:
-    """It is read as it is, and its file under its own name."""
     with opened(running_browser) as page:
         page.goto(f"{address}logs.html#/logs?search=events&robot=cruiser-9")
         row = page.locator("tbody tr", has_text="</script><script>")
@@ -129,7 +126,7 @@ def test_nothing_in_a_log_or_its_name_becomes_html(address: str, running_browser
 
 
 class _Elsewhere(BaseHTTPRequestHandler):
-    """A site of somebody else, with an empty page."""
+    """Another site, with an empty page."""
 
     def do_GET(self) -> None:
         self.send_response(200)
@@ -164,7 +161,6 @@ READ_A_RANGE: Final = """(url) => fetch(url, { headers: { range: "bytes=1-4" } }
 def test_a_viewer_opens_a_log_by_its_address_and_no_other_site_does(
     tmp_path: Path, running_browser: Browser
 ) -> None:
-    """By ranges, as a browser lets it; the link says the log and the moment."""
     (tmp_path / LOG).write_bytes(recorded(front_bumper))
     viewing = (elsewhere(), elsewhere())
     with viewing[0] as viewer, viewing[1] as other, served(tmp_path, "--viewer", f"{viewer}/view") as address:
@@ -206,7 +202,6 @@ def stops(page: Page, address: str) -> None:
 def test_every_page_is_for_everybody(
     look: object, theme: Literal["light", "dark"], language: str, address: str, running_browser: Browser
 ) -> None:
-    """Names for whoever hears the page, contrast for whoever sees badly; 320 pixels are wide enough."""
     with opened(running_browser, locale=language, color_scheme=theme) as page:
         look(page, address)  # type: ignore[operator]
         assert_for_everybody(page)
@@ -216,7 +211,6 @@ def test_every_page_is_for_everybody(
 def test_a_robot_leads_to_its_logs_also_to_the_one_that_is_being_written(
     tmp_path: Path, running_browser: Browser
 ) -> None:
-    """One that is being written has its report, and is downloaded once it is whole."""
     log, growing = recorded(front_bumper), "cruiser-1-20260102T040506Z.mcap.part"
     (tmp_path / LOG).write_bytes(log)
     (tmp_path / growing).write_bytes(log)
@@ -243,14 +237,14 @@ def children(pid: int) -> int:
 
 
 def age_ms(page: Page) -> list[int]:
-    """The age of the commands that the robot obeys, as its page says; nothing where it obeys none."""
+    """Return the age of the commands as the page shows it; nothing without commands."""
     return [int(age) for age in re.findall(r"(\d+) ms", page.locator(".link").inner_text())[:1]]
 
 
 @pytest.mark.night
 @pytest.mark.timeout(600)
 def test_a_driven_robot_notices_no_question_about_logs(tmp_path: Path, running_browser: Browser) -> None:
-    """However many come, whatever the logs unpack to: it is driven on, and two processes read logs at most."""
+    """It drives on, and at most two processes read logs."""
     write_messages(tmp_path / "large.mcap", drive_messages(20_000))
     (tmp_path / "tiny.mcap").write_bytes(bomb(tiny, 3))
     (tmp_path / "zeros.mcap").write_bytes(bomb(zeros, 16))

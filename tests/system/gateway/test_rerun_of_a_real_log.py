@@ -1,4 +1,4 @@
-"""A drive of real processes, recorded, and run again from its log alone."""
+"""A drive of real processes, recorded, and run again from its log."""
 
 import json
 import signal
@@ -29,7 +29,7 @@ def drive(endpoint: str) -> None:
 
 
 def rerun(logs: Path) -> dict[str, Any]:
-    """The number of records of each subject that came out the same, if all did."""
+    """Return the number of identical records by subject, if all are."""
     done = run(["review", "rerun", "--json", str(logs)])
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[0]) if not done.returncode else {"same": {}}
     return found
@@ -37,7 +37,7 @@ def rerun(logs: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("is_late", [False, True], ids=["first", "late"])
 def test_a_recorded_drive_runs_again_as_it_was(tmp_path: Path, is_late: bool) -> None:  # noqa: FBT001
-    """Byte for byte. Who begins to record after the drive gets the journal, decisions and events of before."""
+    """Byte for byte. A late recorder gets journal, decisions and events from before."""
     endpoint = free_endpoint()
     recorder = ["record", "-o", str(tmp_path), "--connect", endpoint]
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""Samples in, metrics out; their table, held against the fields of the messages; and what the command needs."""
+"""Samples in, metrics out; the table against the messages' fields; and the command's extra."""
 
 from __future__ import annotations
 
@@ -64,19 +64,16 @@ UP = f"cruiser_up{{{R}}}"
     ],
 )
 def test_what_was_said_is_shown_in_base_units(name: str, value: float) -> None:
-    """Under a name that says of whom, and in what."""
     assert series(fleet(token(), *map(received, FULL)))[name] == pytest.approx(value)
 
 
 def test_nobodys_name_and_no_free_text_is_a_label() -> None:
-    """Labels are bounded, and who drives is nobody's business here."""
     text = full_exposition()
     assert STANDBY.lease_holder == "first"
     assert '"first"' not in text
 
 
 def test_a_silent_robot_has_no_values_but_that_it_is_silent() -> None:
-    """What it said last is never shown as if it were so now; how much came of it still counts."""
     metrics = fleet(token(), *map(received, FULL))
     now_ns = START_NS + HEALTH_STALE_NS - 1
     assert series(metrics, now_ns)[UP] == 1
@@ -88,14 +85,13 @@ def test_a_silent_robot_has_no_values_but_that_it_is_silent() -> None:
 
 
 def test_a_token_alone_is_a_robot_that_is_silent() -> None:
-    """A gateway that hangs has one."""
     shown = series(fleet(token()))
     assert (shown[UP], shown[f"cruiser_gateway_connected{{{R}}}"]) == (0, 1)
     assert series(fleet(token(), token(present=False)))[f"cruiser_gateway_connected{{{R}}}"] == 0
 
 
 def unreadable(shown: dict[str, float], subject: str) -> dict[str, float]:
-    """Samples of the robot that could not be read, by the reason."""
+    """Count unreadable samples of the robot by reason."""
     return {
         reason: shown[f'cruiser_samples_unreadable_total{{reason="{reason}",{R},subject="{subject}"}}']
         for reason in ("newer", "older", "damaged")
@@ -106,7 +102,6 @@ def unreadable(shown: dict[str, float], subject: str) -> dict[str, float]:
     ("version", "reason"), [("9", "newer"), ("0", "older"), ("1", "damaged"), ("of_another", "damaged")]
 )
 def test_what_cannot_be_read_is_counted_with_the_reason_and_changes_nothing(version: str, reason: str) -> None:
-    """Which side is to be upgraded; the values are those of before, until they are too old."""
     bad = received(STATE, encoding=f"application/msgpack;cruiser.RobotState/{version}")
     if version == "1":
         bad = msgspec.structs.replace(bad, payload=b"\x81\xa5speed\xc1")
@@ -129,13 +124,11 @@ def test_what_cannot_be_read_is_counted_with_the_reason_and_changes_nothing(vers
     ],
 )
 def test_gaps_in_the_sequence_are_losses(sequences: list[int], lost: int) -> None:
-    """It wraps; one that steps back, or far ahead, is a gateway that began anew."""
     states = [received(msgspec.structs.replace(STATE, sequence=sequence)) for sequence in sequences]
     assert series(fleet(*states))[f'cruiser_samples_lost_total{{{R},subject="state"}}'] == lost
 
 
 def test_samples_of_one_too_many_are_counted() -> None:
-    """The bounds are those of a fleet; names beyond them show up in a metric."""
     names = [f"r{number}" for number in range(BOUNDS.robots)]
     metrics = fleet(*(received(HEALTH, name) for name in names), received(HEALTH), token("e"))
     shown = series(metrics)
@@ -144,7 +137,6 @@ def test_samples_of_one_too_many_are_counted() -> None:
 
 
 def test_who_was_silent_for_a_week_is_forgotten() -> None:
-    """But not a robot whose gateway is connected: it hangs."""
     metrics = fleet(received(HEALTH), token("hangs"), received(recorder_health()))
     shown = series(metrics, START_NS + BOUNDS.forgotten_ns - 1)
     assert (shown[UP], shown['cruiser_recorder_up{recorder="depot"}']) == (0, 0)
@@ -153,14 +145,13 @@ def test_who_was_silent_for_a_week_is_forgotten() -> None:
 
 
 def test_samples_that_were_not_read_in_time_are_counted() -> None:
-    """They are the exporter's own loss."""
     metrics = fleet()
     metrics.receive(Missed(), START_NS, WALL_S)
     assert series(metrics)["cruiser_exporter_overruns_total"] == 1
 
 
 def unique(text: str) -> bool:
-    """Is every line another series, as Prometheus wants it?"""
+    """Every line is another series, as Prometheus requires."""
     samples = [
         (sample.name, tuple(sorted(sample.labels.items())))
         for family in text_string_to_metric_families(text)
@@ -177,7 +168,6 @@ def unique(text: str) -> bool:
 def test_a_robot_that_makes_things_up_cannot_break_a_scrape(
     names: list[str], counts: dict[str, int], version: str
 ) -> None:
-    """Frames of one name, labels of any letters, texts of any length: a series is there once, and can be read."""
     feedback = [msgspec.structs.replace(HEALTH.feedback[0], name=name) for name in names]
     made_up = msgspec.structs.replace(
         HEALTH, feedback=feedback, faults=counts, unknown_identifiers=counts, gateway_version=version
@@ -190,14 +180,12 @@ def test_a_robot_that_makes_things_up_cannot_break_a_scrape(
 
 @given(payload=st.binary(max_size=300))
 def test_any_payload_is_read_or_counted(payload: bytes) -> None:
-    """Nothing raises."""
     sample = received(HEALTH)
     shown = series(fleet(Received(sample.key, sample.encoding, payload)))
     assert unreadable(shown, "gateway/health") == {"newer": 0, "older": 0, "damaged": 1}
 
 
 def test_all_that_is_served_has_a_help_and_is_there_once() -> None:
-    """As Prometheus reads it."""
     text = full_exposition()
     assert unique(text)
     assert all(family.documentation for family in text_string_to_metric_families(text))
@@ -218,7 +206,7 @@ UNITS = {
     "B": ("_bytes", "_bytes", 1),
     "%": ("_percent", "_ratio", 100),
 }
-"""By a schema's unit: the end of a field's name, that of a metric's in its place, and the divisor."""
+"""By a schema's unit: ending of the field's name, ending of the metric's, and divisor."""
 
 NO_METRIC = {
     # Of every message, and what commands refer to.
@@ -230,13 +218,12 @@ NO_METRIC = {
     # Free text, names, and records with metrics of their own.
     *("bus_detail", "stop_detail", "stopped_by", "name", "recorder", "failures", "notes", "silent", "feedback"),
 }
-"""Fields of no metric."""
 
 ROWS = [(kind, measure) for kind, measures in MEASURES.items() for measure in measures]
 
 
 def unit_of(annotation: object) -> str:
-    """The unit in a field's annotation; empty if it has none."""
+    """Return the unit in a field's annotation; empty if it has none."""
     for part in (annotation, *getattr(annotation, "__args__", ())):
         for meta in getattr(part, "__metadata__", ()):
             if isinstance(meta, Meta) and meta.extra_json_schema and UNIT_KEYWORD in meta.extra_json_schema:
@@ -246,7 +233,6 @@ def unit_of(annotation: object) -> str:
 
 @pytest.mark.parametrize(("kind", "measure"), ROWS, ids=lambda one: getattr(one, "name", ""))
 def test_a_name_and_its_divisor_say_the_unit_of_the_field(kind: type[msgspec.Struct], measure: Measure) -> None:
-    """A counter of what is counted since the sender's start, and of nothing else."""
     field = next(one for one in msgspec.structs.fields(kind) if one.name == measure.field)
     unit = unit_of(field.type)
     end, base, divisor = UNITS[unit]
@@ -260,14 +246,12 @@ def test_a_name_and_its_divisor_say_the_unit_of_the_field(kind: type[msgspec.Str
 
 @pytest.mark.parametrize("kind", MEASURES)
 def test_each_field_is_a_metric_or_left_out_on_purpose(kind: type[msgspec.Struct]) -> None:
-    """A field that is added to a message is not forgotten."""
     shown = {measure.field for measure in MEASURES[kind]} | set(INFO[kind][2].values() if kind in INFO else ())
     others = {field.name for field in msgspec.structs.fields(kind)} - shown
     assert others <= NO_METRIC
 
 
 def test_what_is_no_number_is_left_out() -> None:
-    """Neither infinities nor what is not a number are shown."""
     measure = Measure("x", "value", "", "", 1)
     made = msgspec.defstruct("Made", [("value", float | None)])
     assert [list(measure.values(made(value))) for value in (float("nan"), float("-inf"), None)] == [[], [], []]
@@ -275,7 +259,6 @@ def test_what_is_no_number_is_left_out() -> None:
 
 @given(counts=st.dictionaries(st.text(), st.integers(0, 2**63 - 1), max_size=3 * LABELS_MAX))
 def test_labels_that_somebody_makes_up_are_bounded(counts: dict[str, int]) -> None:
-    """In number, in length, and in what a terminal would do of them; nothing goes uncounted."""
     kept = list(bounded(counts))
     labels = [label for label, _ in kept]
     assert len(labels) == len(set(labels)) <= LABELS_MAX + 1
@@ -284,7 +267,6 @@ def test_labels_that_somebody_makes_up_are_bounded(counts: dict[str, int]) -> No
 
 
 def test_without_its_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The product does not need it otherwise."""
     for name in [name for name in sys.modules if name.startswith("prometheus_client")]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("gateway.cli.metrics_server", "gateway.metrics"):

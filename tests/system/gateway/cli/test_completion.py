@@ -30,7 +30,6 @@ printf '%s\\n' "${COMPREPLY[@]}"
     ],
 )
 def test_commands_questions_and_flags_are_completed(words: list[str], some: set[str]) -> None:
-    """By the help of what is installed."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     done = subprocess.run(
         ["/bin/bash", "-c", COMPLETE, "bash", SCRIPT, "cruiser", *words],

@@ -1,4 +1,4 @@
-"""``cruiser demo``: the whole main job, as a user starts it."""
+"""``cruiser demo``, as a user starts it."""
 
 import os
 import re
@@ -21,7 +21,6 @@ pytestmark = [pytest.mark.timeout(TIMEOUT_S), pytest.mark.long]
 
 
 def assert_in_order(told: str, steps: Sequence[str]) -> None:
-    """One after the other, whatever else is told between them."""
     place = 0
     for step in steps:
         place = told.find(step, place)
@@ -30,7 +29,7 @@ def assert_in_order(told: str, steps: Sequence[str]) -> None:
 
 
 class Demo(NamedTuple):
-    """One demo, of a robot with names and a variant of its own."""
+    """A demo of a robot with its own name and variant."""
 
     told: str
     directory: Path
@@ -48,7 +47,7 @@ class Demo(NamedTuple):
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    """One demo for all of these tests: it takes its time."""
+    """One demo for all these tests, because it takes its time."""
     directory = tmp_path_factory.mktemp("demo")
     file, out = directory / "robot.toml", directory / "log"
     file.write_text(
@@ -62,7 +61,6 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Demo:
 
 @pytest.mark.night
 def test_the_demo_tells_and_records_what_the_arbiter_did(demo: Demo) -> None:
-    """Engaged, stopped by the bumper, reset, stopped as the operator vanishes, driven on by a second one."""
     steps = (
         "first-operator has acquired the lease",
         "engaged",
@@ -97,10 +95,7 @@ HELD_UP_S = 0.5  # the guard stops a robot after a tenth of a second
 
 @pytest.mark.night
 def test_a_robot_that_the_guard_has_stopped_is_driven_on(tmp_path: Path) -> None:
-    """On a busy machine: its operator says why, resets it, and does all again that was interrupted.
-
-    The first lines come while the log is being written, in the next directory that is free; nothing is warned of.
-    """
+    """As on a busy machine. The first lines come while the log is written, in the next free directory."""
     out = tmp_path / "log"
     out.mkdir()
     (out / "of-an-earlier-run").touch()
@@ -124,14 +119,12 @@ def test_a_robot_that_the_guard_has_stopped_is_driven_on(tmp_path: Path) -> None
 
 
 def _hold_up(process: int, seconds: float) -> None:
-    """Give it no processor for so long; the demo is what is waited for."""
     os.kill(process, signal.SIGSTOP)
     time.sleep(seconds)
     os.kill(process, signal.SIGCONT)
 
 
 def _child(parent: int, command: str) -> int:
-    """The process of this command that the parent has started."""
     for task in Path(f"/proc/{parent}/task").iterdir():
         for number in (task / "children").read_text().split():
             if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[4] == command.encode():
@@ -141,7 +134,6 @@ def _child(parent: int, command: str) -> int:
 
 @pytest.mark.usefixtures("beside_foreign_modules")
 def test_ctrl_c_stops_the_robot_and_ends_the_demo(tmp_path: Path) -> None:
-    """Soon, with a whole log of what was until then; what was left of the drive does not follow."""
     words = [*CRUISER, "demo", "--out", str(tmp_path / "log")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:

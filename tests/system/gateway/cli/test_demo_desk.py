@@ -36,13 +36,11 @@ def descendants(pid: int) -> set[int]:
 
 
 def gateway_of(robot: str, pid: int) -> int:
-    """The process of a robot's gateway, of those that this one has started."""
     commands = {one: Path(f"/proc/{one}/cmdline").read_bytes().split(b"\0") for one in descendants(pid)}
     return next(one for one, words in commands.items() if b"--robot" in words and robot.encode() in words)
 
 
 def is_running(pid: int) -> bool:
-    """It is there, and no zombie that nobody waits for."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -51,7 +49,7 @@ def is_running(pid: int) -> bool:
 
 @contextmanager
 def started(*words: str) -> Iterator[Running]:
-    """A command that starts others. A test that fails leaves none of them behind."""
+    """Run a command that starts others. A test that fails leaves none of them behind."""
     with Running(*words) as running:
         try:
             yield running
@@ -61,7 +59,7 @@ def started(*words: str) -> Iterator[Running]:
 
 
 def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
-    """Press Ctrl-C. All of its processes end with it, in good order."""
+    """Press Ctrl-C. All processes end, in good order."""
     processes = descendants(running.process.pid)
     assert len(processes) >= 3 * len(TWO)
     assert running.stop(number) == 0
@@ -92,7 +90,6 @@ def end(running: Running, number: signal.Signals = signal.SIGINT) -> None:
 def test_nothing_goes_on_without_the_command_that_started_it(
     words: tuple[str, ...], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A command that was killed ends nothing: what it has started ends by itself."""
     monkeypatch.chdir(tmp_path)
     endpoint = free_endpoint()
     with Running(*(endpoint if word == "ENDPOINT" else word for word in words)) as running:
@@ -106,7 +103,7 @@ def test_nothing_goes_on_without_the_command_that_started_it(
 
 
 def logs_of(robot: str, desk: str) -> list[str]:
-    """The logs of a robot that a desk lists; those that are being written too."""
+    """Return the logs of a robot that a desk lists, also those in progress."""
     with urlopen(f"{desk}find?search=logs") as answer:  # noqa: S310 - the desk says http
         head, *found = map(json.loads, answer)
     names = [*head["uncataloged"], *(Path(one["file"]).name for one in found)]
@@ -117,7 +114,6 @@ def logs_of(robot: str, desk: str) -> list[str]:
 def test_the_demo_shows_a_fleet_on_the_desk_and_opens_the_browser(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its recorder, whose logs the desk lists. What it opens is what it prints, and serves the page."""
     opened, out = tmp_path / "opened", tmp_path / "out"
     browser = tmp_path / "browser"
     browser.write_text(f"#!{sys.executable}\nimport sys\nopen({str(opened)!r}, 'w').write(sys.argv[1])\n")

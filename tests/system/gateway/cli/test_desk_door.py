@@ -1,4 +1,4 @@
-"""The door of a server of pages, by raw sockets: no flood is read as it comes, and nobody takes all places."""
+"""The desk's connections over raw sockets: no flood is read as it comes, and no peer takes all places."""
 
 import asyncio
 import socket
@@ -73,7 +73,6 @@ def link(port: int) -> socket.socket:
 
 
 def until(opened: socket.socket, end: bytes) -> bytes:
-    """What comes up to this."""
     got = b""
     while not got.endswith(end):
         piece = opened.recv(1)
@@ -83,7 +82,6 @@ def until(opened: socket.socket, end: bytes) -> bytes:
 
 
 def rest(opened: socket.socket) -> bytes:
-    """What comes up to the end of a connection."""
     got = b""
     try:
         while piece := opened.recv(65_536):
@@ -94,7 +92,6 @@ def rest(opened: socket.socket) -> bytes:
 
 
 def test_of_a_flood_of_frames_so_many_are_read_as_a_page_says(port: int) -> None:
-    """Before the library has any of them; and another page of the same address is answered meanwhile."""
     with closing(link(port)) as loud, closing(link(port)) as page:
         loud.settimeout(0.0)
         began_s, pongs, replies = time.monotonic(), 0, 0
@@ -114,7 +111,6 @@ def test_of_a_flood_of_frames_so_many_are_read_as_a_page_says(port: int) -> None
 
 
 def test_connections_that_ask_for_nothing_keep_nobody_out(port: int) -> None:
-    """Many heads that do not end, of one address: it is answered meanwhile, and another too."""
     with ExitStack() as stack:
         half: list[socket.socket] = []
         while len(half) < 2 * PEER_CONNECTIONS_MAX:
@@ -146,7 +142,6 @@ def test_connections_that_ask_for_nothing_keep_nobody_out(port: int) -> None:
     ids=["nothing", "half a head", "half of a second head", "half a body"],
 )
 def test_a_request_has_a_time_to_be_whole_in(said: bytes, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However often a little more of it comes."""
     monkeypatch.setattr(door, "REQUEST_S", 0.5)
     with closing(connect(port)) as slow:
         slow.sendall(said)
@@ -166,7 +161,6 @@ def test_a_request_has_a_time_to_be_whole_in(said: bytes, port: int, monkeypatch
 
 
 def test_a_socket_that_is_one_too_many_is_told_so(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By its code; when another is closed there is room again."""
     monkeypatch.setattr(door, "PEER_SOCKETS_MAX", 1)
     first = link(port)
     with closing(link(port)) as refused:
@@ -184,14 +178,13 @@ def test_a_socket_that_is_one_too_many_is_told_so(port: int, monkeypatch: pytest
 
 
 def test_a_message_in_endless_pieces_is_refused(port: int) -> None:
-    """With the code for a rule that was broken. Each piece is empty, and would be kept."""
+    """Each piece is empty, and would be stored."""
     with closing(link(port)) as loud:
         loud.sendall(b"\x02\x80" + MASK + (b"\x00\x80" + MASK) * (PIECES_MAX + 1))
         assert rest(loud) == door.TOO_MUCH
 
 
 def test_of_a_flood_of_requests_so_many_are_answered_as_there_are_turns(port: int) -> None:
-    """On however many connections it comes."""
     with ExitStack() as stack:
         flood = [stack.enter_context(closing(connect(port))) for _ in range(20)]
         began_s, answers, left = time.monotonic(), 0, dict.fromkeys(flood, GET * 200)

@@ -1,4 +1,4 @@
-"""Questions to logs as processes of their own."""
+"""Questions to logs as processes."""
 
 import asyncio
 import os
@@ -21,7 +21,6 @@ def children() -> set[str]:
 
 
 def test_a_question_that_takes_too_long_is_given_up() -> None:
-    """It says so, and no process is left; nor is one where whoever asked went away."""
     before = children()
     done = asyncio.run(ask_review(["info", "/dev/zero"], seconds=0.05))
     assert (done.code, done.output) == (None, b"")
@@ -37,7 +36,6 @@ def test_a_question_that_takes_too_long_is_given_up() -> None:
 
 
 def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is one that whoever asked can show, and nothing that ends a server."""
     monkeypatch.setattr("sys.executable", "/nowhere/python")
     done = asyncio.run(ask_review(["info", "/dev/zero"]))
     assert (done.code, done.output) == (None, b"")
@@ -47,7 +45,7 @@ def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.
 def test_a_sandbox_that_forbids_priorities_gets_its_answer(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """As that of the desk's unit did, where every question ended in an error of the server."""
+    """The desk's systemd unit is one."""
 
     def refuse(*_words: int) -> None:
         raise PermissionError
@@ -59,14 +57,12 @@ def test_a_sandbox_that_forbids_priorities_gets_its_answer(
 
 @pytest.mark.usefixtures("beside_foreign_modules")
 def test_an_answer_has_its_code_its_output_and_its_faults() -> None:
-    """Those of a question that does not exist: a line that names all."""
     done = asyncio.run(ask_review(["riddle"]))
     assert (done.code, done.output) == (2, b"")
     assert all(name in done.fault for name in QUESTIONS)
 
 
 def test_an_answer_is_read_to_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rest goes nowhere, and holds up nothing."""
     monkeypatch.setattr(jobs, "SAID_BYTES", 10)
     (tmp_path / "a.mcap").write_bytes(recorded(front_bumper))
     done = asyncio.run(ask_review(["events", str(tmp_path), "--json"]))
@@ -77,7 +73,6 @@ def test_an_answer_is_read_to_a_bound(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_a_question_takes_so_much_memory_and_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mib: int, *, is_made: bool
 ) -> None:
-    """A report that would take more ends, and not the machine; there is a word about it, and no half report."""
     monkeypatch.setattr(jobs, "JOB_BYTES", mib << 20)
     log, report = tmp_path / "a.mcap", tmp_path / "report.html"
     log.write_bytes(recorded(front_bumper))
@@ -88,7 +83,6 @@ def test_a_question_takes_so_much_memory_and_no_more(
 
 
 def test_a_question_has_a_low_priority_and_so_much_processor_time() -> None:
-    """Whoever drives a robot through the same server waits for no answer about a log."""
     before = children()
 
     async def look() -> tuple[int, tuple[int, int]]:
@@ -109,7 +103,6 @@ def test_a_question_has_a_low_priority_and_so_much_processor_time() -> None:
 
 
 def test_a_question_that_is_ended_from_outside_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As by the bound of the processor time."""
     monkeypatch.setattr(jobs, "module_command", lambda *_: ("/bin/sh", "-c", "echo half; kill -XCPU $$"))
     done = asyncio.run(ask_review(["info"]))
     assert (done.code, done.output) == (None, b"")

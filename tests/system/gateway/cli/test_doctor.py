@@ -1,4 +1,4 @@
-"""``cruiser doctor`` as a process, with chassis, gateway and recorder as processes."""
+"""``cruiser doctor`` with chassis, gateway and recorder, all as processes."""
 
 import json
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ def bus() -> Iterator[str]:
 
 
 def examine(address: str, *words: str, interface: str = "socketcand") -> tuple[int, dict[str, str], str]:
-    """Exit code, findings by name, and the summary; of the settings' bus if the address is empty."""
+    """Return exit code, findings by name, and summary; for the settings' bus if the address is empty."""
     bus = ["--interface", interface, "--channel", address] if address else []
     done = run(["doctor", "--json", *bus, *words])
     said: dict[str, Any] = json.loads(done.stdout)
@@ -36,7 +36,6 @@ def fault(address: str, *words: str) -> None:
 
 
 def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> None:
-    """With the gateway asked and not the bus; the last line says so."""
     endpoint = free_endpoint()
     words = ["--connect", endpoint, "--logs", str(tmp_path)]
     with gateway(bus, endpoint), Running("record", "-o", str(tmp_path), "--connect", endpoint) as recorder:
@@ -56,7 +55,6 @@ def test_a_robot_that_runs_and_is_recorded_is_well(bus: str, tmp_path: Path) -> 
 
 
 def test_the_bus_of_the_gateway_that_runs_is_looked_at(bus: str, tmp_path: Path) -> None:
-    """With settings that name another one, as the start values do: a note says so, and nothing is to be cured."""
     endpoint = free_endpoint()
     with gateway(bus, endpoint):
         found = examine("", "--connect", endpoint, "--logs", str(tmp_path))[1]
@@ -67,7 +65,6 @@ def test_the_bus_of_the_gateway_that_runs_is_looked_at(bus: str, tmp_path: Path)
 
 
 def test_without_a_gateway_the_bus_itself_is_listened_to(bus: str, tmp_path: Path) -> None:
-    """A chassis that is well: nothing is missing but the gateway. Then a frame of it is."""
     logs = ["--logs", str(tmp_path), "--timeout", "0.5"]
 
     def finds() -> tuple[int, list[str], str]:

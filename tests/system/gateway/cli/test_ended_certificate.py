@@ -1,4 +1,4 @@
-"""Services that nobody lets in, for want of a certificate or of a router: each waits, and says the cure once."""
+"""Services without a valid certificate, or without a router: each waits, and logs the cure once."""
 
 import os
 import socket
@@ -33,7 +33,7 @@ SERVICES = {
     "desk": (TransportRole.DESK, "desk: http://"),
     "metrics": (TransportRole.VIEWER, "metrics: http://"),
 }
-"""The commands that run as services besides the gateway: whose certificate, and what each says once it works."""
+"""Services besides the gateway: role of the certificate, and the line that shows that it works."""
 
 
 class Scene:
@@ -47,13 +47,12 @@ class Scene:
         self.words = ("--interface", "socketcand", "--channel", bus, "--zenoh-config", str(file))
 
     def certify(self, born_s: int | None = None) -> Path:
-        """Give the robot a key and a certificate, of now or of then. Returns their directory."""
+        """Issue a key and a certificate, with this date. Returns their directory."""
         return self.network.node(TransportRole.ROBOT, "cruiser-1", "cruiser-1", born_s)
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Iterator[Scene]:
-    """The gateway is yet to be started."""
     with chassis() as (_, bus):
         scene = Scene(tmp_path, bus)
         with router_process(scene.router):
@@ -62,7 +61,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 @pytest.fixture
 def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
-    """The service manager's end of its socket, for whatever is started meanwhile."""
+    """The service manager's end of its socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(str(tmp_path / "notify"))
         listening.settimeout(30)
@@ -71,7 +70,6 @@ def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
 
 
 def test_a_gateway_watches_its_chassis_and_joins_with_another(scene: Scene, systemd: socket.socket) -> None:
-    """To systemd it is ready, alive, and off the network for a cause; the log has one line, with the cure."""
     with Running("gateway", *scene.words) as gateway:
         gateway.wait_says(f"{ENDED}.*; the robot is off the network")
         gateway.wait_says("the bus is up")
@@ -94,7 +92,6 @@ def test_a_gateway_watches_its_chassis_and_joins_with_another(scene: Scene, syst
 def test_a_recorder_waits_for_its_router(
     tmp_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As for a certificate. It ends as soon as it is told to, and has not failed then; else it joins."""
     monkeypatch.setenv("CRUISER_ZENOH_MODE", "client")
     endpoint = free_endpoint()
     words = ["--connect", endpoint, "--out", str(tmp_path / "logs")]
@@ -119,7 +116,6 @@ def test_a_recorder_waits_for_its_router(
 
 
 def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who started it reads it there, and an engine that runs it as a container has its own way to try again."""
     assert "NOTIFY_SOCKET" not in os.environ
     monkeypatch.setenv("CRUISER_ZENOH_MODE", "client")
     endpoint = free_endpoint()
@@ -140,7 +136,6 @@ def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.
 def test_every_other_service_waits_likewise(
     tmp_path: Path, systemd: socket.socket, command: str, born_s: int, says: str
 ) -> None:
-    """One line, a status and no end; then it does its work, and the status is gone."""
     role, works = SERVICES[command]
     network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
     router = network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5"
@@ -173,7 +168,6 @@ def test_every_other_service_waits_likewise(
 @pytest.mark.parametrize("command", ["stop", "list"])
 @pytest.mark.usefixtures("systemd")
 def test_a_command_that_asks_does_not_wait(tmp_path: Path, command: str) -> None:
-    """Whoever started it: somebody waits for its answer."""
     network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
     ended_s = int(time.time()) - (LEAF_DAYS + 1) * DAY_S
     place = network.node(TransportRole.OPERATOR, "ann", born_s=ended_s)

@@ -1,4 +1,4 @@
-"""``cruiser gateway`` as a process, with a virtual chassis as a process."""
+"""``cruiser gateway`` with a virtual chassis, both as processes."""
 
 import os
 import signal
@@ -39,7 +39,7 @@ from tests.support.waiting import wait_until
 
 
 class Listener:
-    """Hears everything under ``fleet``, with Zenoh and MessagePack alone."""
+    """Receives everything under ``fleet``, with Zenoh and MessagePack alone."""
 
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(ZenohSettings(), [endpoint], [])
@@ -56,12 +56,11 @@ class Listener:
             self.encodings[key] = str(sample.encoding)
 
     def wait_for(self, key: str, condition: Callable[[dict[str, Any]], bool] = bool) -> dict[str, Any]:
-        """Hear until the newest message of this key fulfils the condition."""
+        """Wait until the newest message of this key meets the condition."""
         wait_until(lambda: key in self.latest and condition(self.latest[key]), self.hear)
         return self.latest[key]
 
     def info(self, robot: str) -> dict[str, Any]:
-        """What a query on a robot's gateway/info replies."""
         for reply in self.session.get(f"fleet/{robot}/gateway/info", timeout=10):
             assert reply.ok is not None
             payload: dict[str, Any] = msgpack.unpackb(reply.ok.payload.to_bytes())
@@ -89,7 +88,7 @@ class Listener:
 
 @pytest.mark.parametrize("variant", ["coarse", "fine"])
 def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
-    """All keys come with their encodings; info is answered; the token is there; SIGTERM ends it with 0."""
+    """With its encoding; info is answered; the token is there; SIGTERM ends it with 0."""
     endpoint = free_endpoint()
     with chassis("--variant", variant) as (_, address), gateway(address, endpoint, "--robot", "r-1") as running:
         with closing(Listener(endpoint)) as listener:
@@ -124,7 +123,6 @@ def test_every_subject_is_published_as_the_table_says(variant: str) -> None:
 
 
 def test_a_lost_chassis_comes_back() -> None:
-    """With --wait-for-bus it may come late, too. When it goes the state says so, and nothing ends."""
     endpoint, address = free_endpoint(), free_endpoint().removeprefix("tcp/")
     with gateway(address, endpoint, "--wait-for-bus") as running, closing(Listener(endpoint)) as listener:
         listener.wait_for("fleet/cruiser-1/state", lambda state: not state["bus_up"])
@@ -146,7 +144,6 @@ def test_a_lost_chassis_comes_back() -> None:
 
 
 def test_a_lost_zenoh_node_comes_back() -> None:
-    """A gateway that is connected to another node outlives it, and is heard again when the node returns."""
     router_endpoint, endpoint = free_endpoint(), free_endpoint()
     router = open_session(ZenohSettings(), [], [router_endpoint])
     with chassis() as (_, address), gateway(address, endpoint, "--connect", router_endpoint) as running:
@@ -166,7 +163,6 @@ def test_a_lost_zenoh_node_comes_back() -> None:
 
 
 def test_a_second_gateway_of_one_chassis_is_warned() -> None:
-    """At its start, of another on the same machine; and as an event, once that one's commands are on the bus."""
     first, second, third = free_endpoint(), free_endpoint(), free_endpoint()
     shared = "another gateway on this machine commands socketcand"
     with chassis("--variant", "fine") as (_, address), gateway(address, first, "--robot", "r-1") as one:
@@ -189,7 +185,7 @@ SENT = "fleet/cruiser-1/can/can0/tx"
 
 
 def bad_payloads(lease: int) -> list[bytes]:
-    """What a broken or hostile client may send: noise, wrong types, numbers that are none, depth, size."""
+    """Payloads of a broken or hostile client: noise, wrong types, no numbers, depth, size."""
     random = Random(1)  # noqa: S311 - the same bytes each time
     drive = {"lease": lease, "seq": 1, "challenge": bytes(8), "speed_mps": 1.0, "angle_deg": 0.0}
     odd: list[object] = [
@@ -215,7 +211,7 @@ def bad_payloads(lease: int) -> list[bytes]:
 
 
 def test_no_bytes_on_any_command_key_change_anything(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each query has a typed refusal, each put is judged or counted; the robot stands by and no frame is sent."""
+    """Each query has a typed refusal, each put is judged or counted; no frame is sent."""
     monkeypatch.setenv("CRUISER_GATEWAY_ACCEPT_UNGUARDED", "true")
     endpoint = free_endpoint()
     with chassis() as (_, address), gateway(address, endpoint, "--variant", "coarse") as running:
@@ -286,7 +282,6 @@ def test_a_stop_by_the_guard_is_latched_until_a_reset_whatever_is_restarted() ->
 
 @pytest.mark.parametrize("how", [by_night(signal.SIGTERM), signal.SIGKILL])
 def test_a_remote_stop_is_latched_until_a_reset_whatever_is_restarted(how: signal.Signals) -> None:
-    """Whoever stopped the robot goes up to it: a restart of the process makes nobody's stop undone."""
     with chassis() as (_, address):
         with operated(address) as (running, robot):
             # It is latched, also where the chassis is not seen yet.
@@ -307,7 +302,6 @@ def test_a_remote_stop_is_latched_until_a_reset_whatever_is_restarted(how: signa
 
 
 def guard_latch(robot: Robot) -> SafetyEvent:
-    """The event that says that a stop by the guard is latched."""
     events: list[SafetyEvent] = []
 
     def latches() -> list[SafetyEvent]:
@@ -323,7 +317,7 @@ def is_free(robot: Robot) -> bool:
 
 
 def drive_on(lease: Lease) -> None:
-    """Drive at 1 m/s. A robot that a busy machine has stopped, or that never drove, is engaged."""
+    """Drive at 1 m/s; engage a robot that a busy machine has stopped, or that never drove."""
     if lease.is_engaged and is_done(partial(lease.drive, 1.0)):
         return
     wait_until(lambda: lease.is_engaged or is_done(lease.engage))
@@ -331,7 +325,6 @@ def drive_on(lease: Lease) -> None:
 
 
 def test_an_end_while_driving_brings_the_robot_to_rest_first() -> None:
-    """SIGTERM: the chassis stands, and is out of auto, when it ends with 0."""
     with (
         chassis() as (_, address),
         listening(address) as listener,
@@ -344,7 +337,7 @@ def test_an_end_while_driving_brings_the_robot_to_rest_first() -> None:
 
 
 def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
-    """Somebody goes up to the robot then: a restart that comes right after must not clear the stop."""
+    """Otherwise a restart right after it would clear the stop while a person walks up to the robot."""
     with chassis() as (_, address), operated(address) as (_, robot), robot.lease() as lease:
         wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
         robot.stop()
@@ -352,7 +345,6 @@ def test_a_stop_is_on_the_disk_when_it_is_said_to_be_done() -> None:
 
 
 def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
-    """One that is there while the guard still stops the robot knows whose frames these are, and how it ended."""
     with chassis() as (_, address), operated(address) as (running, robot), robot.lease() as lease:
         wait_until(lambda: abs(robot.state().state.output_speed_mps) > 0.8, partial(drive_on, lease))
         running.process.kill()
@@ -365,7 +357,7 @@ def test_the_guard_of_a_dead_gateway_is_no_other_computer_to_the_next() -> None:
 
 
 def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Row 'a gateway without real-time priority says so at start', with limit and cure; so without a note."""
+    """Row 'a gateway without real-time priority says so at start', with limit and cure."""
     monkeypatch.setenv("CRUISER_GATEWAY_REALTIME_PRIORITY", "0")
     monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", "")
     endpoint = free_endpoint()
@@ -381,7 +373,6 @@ def test_a_gateway_says_at_its_start_what_it_lacks(monkeypatch: pytest.MonkeyPat
 def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
     guarded: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On the bus that is still open; the error is reported all the same. Where a guard watches, that does it."""
     driving = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=0.6, parking=False)
     link = FakeGuard(is_watching=guarded == "a guard")
 
@@ -421,7 +412,7 @@ def test_a_loop_that_fails_unguarded_stops_the_robot_before_it_ends(
 
 
 class FakeGuard(NoGuard):
-    """A guard that watches or does not, as it is told."""
+    """A guard that watches or does not."""
 
     def __init__(self, *, is_watching: bool) -> None:
         super().__init__("" if is_watching else "this test says so")

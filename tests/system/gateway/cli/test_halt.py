@@ -1,4 +1,4 @@
-"""``cruiser halt``: looks first, and stops what has to be stopped."""
+"""``cruiser halt``: looks first, and stops only what has to be stopped."""
 
 import json
 import signal
@@ -23,7 +23,6 @@ def halt(address: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("words", [(), by_night(("--variant", "coarse"))])
 def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> None:
-    """Whether its scale is known or not; it says what it found and what it did."""
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
         heard = len(listener.bursts)
@@ -45,7 +44,6 @@ def test_a_robot_that_was_left_rolling_is_stopped(words: tuple[str, ...]) -> Non
 
 
 def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
-    """Not auto, and standing: there is nothing to stop."""
     with chassis() as (_, address), listening(address) as listener:
         done = halt(address)
         assert done.returncode == 0, done.stderr
@@ -61,7 +59,6 @@ def test_a_robot_at_rest_is_sent_nothing_unless_forced() -> None:
 
 
 def test_the_hand_transmitter_is_never_sent_against() -> None:
-    """Mode remote: nothing, and exit code 5, forced or not."""
     faults = ["--fault", "1ms transmitter remote", "--fault", "1ms sticks 0.5 0"]
     with chassis(*faults) as (_, address), listening(address) as listener:
         wait_until(lambda: listener.mode() is Mode.REMOTE)
@@ -75,7 +72,7 @@ def test_the_hand_transmitter_is_never_sent_against() -> None:
 
 
 def test_a_robot_that_the_hand_transmitter_gives_back_is_stopped() -> None:
-    """It would obey the last command that it was told before; whoever left it so is gone."""
+    """Otherwise it would execute its last command again."""
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
         assert run(["fault", "--sim", address, "transmitter", "remote"]).returncode == 0
@@ -90,7 +87,6 @@ def test_a_robot_that_the_hand_transmitter_gives_back_is_stopped() -> None:
 
 
 def test_a_parked_robot_that_is_not_heard_stays_parked() -> None:
-    """A stop that begins from nothing asks for the parking brake from its first frame to its last."""
     with chassis("--fault", "1ms silence all") as (_, address), listening(address) as listener:
         done = halt(address)
         assert done.returncode == 1, done.stderr
@@ -101,7 +97,6 @@ def test_a_parked_robot_that_is_not_heard_stays_parked() -> None:
 
 
 def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
-    """Then it ceases, waits its time for the robot to be given back, and says so."""
     with chassis() as (sim, address), listening(address) as listener:
         leave_rolling(address, listener)
         bus_words = ["--interface", "socketcand", "--channel", address, "--wait", "1"]
@@ -113,7 +108,7 @@ def test_the_hand_transmitter_may_take_over_during_the_stop() -> None:
 
 
 def test_it_waits_for_a_guard_at_work() -> None:
-    """As systemd starts it right after the gateway died: it sends nothing while the guard does."""
+    """As systemd starts it right after the gateway died."""
     bus_words = ["--interface", "socketcand", "--wait", "60", "--channel"]
     with watched() as running, Running("halt", *bus_words, running.address) as halting:
         halting.wait_says("another sender commands the chassis")
@@ -125,7 +120,6 @@ def test_it_waits_for_a_guard_at_work() -> None:
 
 
 def test_blindly_is_better_than_not_at_all() -> None:
-    """A chassis that obeys and says nothing is stopped; nobody can tell that it stands, so exit code 1."""
     with chassis() as (_, address), listening(address) as listener:
         leave_rolling(address, listener)
         assert run(["fault", "--sim", address, "silence", "all"]).returncode == 0

@@ -33,14 +33,13 @@ def list_robots(
     meanwhile: Callable[[], None] = nothing,
     until: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Run the command in this process. ``meanwhile`` is done again and again until it ends."""
+    """Run the command in this process, and call ``meanwhile`` repeatedly until it ends."""
     settings = Settings(robot=RobotSettings(root=root), zenoh=ZenohSettings(connect=[endpoint]))
     words = words if "--timeout" in words else (*words, "--timeout", "20")
     return run_command(list_command, *words, settings=settings, stopped=StopWhen(until, meanwhile))
 
 
 def test_some_robots_are_listed_in_the_order_of_their_numbers(capsys: Capture) -> None:
-    """All through the first one's node, each with its health; of a name that nobody has there is none."""
     with (
         FakeGateway("cruiser-10") as first,
         FakeGateway("cruiser-2", connect=first.listen) as second,
@@ -69,7 +68,6 @@ def test_some_robots_are_listed_in_the_order_of_their_numbers(capsys: Capture) -
 
 
 def test_a_robot_that_is_lost_is_listed_until_it_is_forgotten(capsys: Capture) -> None:
-    """Also by the next command, and by the live list: exit code 3, with its name. A pattern asks for others."""
     with FakeGateway("cruiser-1") as first:
         speak = speech(first, says=WELL)
         with FakeGateway("cruiser-2", connect=first.listen) as second:
@@ -88,7 +86,6 @@ def test_a_robot_that_is_lost_is_listed_until_it_is_forgotten(capsys: Capture) -
 
 @pytest.mark.parametrize("said_before", [False, True])
 def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture, *, said_before: bool) -> None:
-    """A token is no proof of health, nor is what Zenoh's threads still give out of a gateway that hangs."""
     with FakeGateway("cruiser-1", caches_health=said_before) as gateway:
         if said_before:
             gateway.say(HEALTH)
@@ -96,15 +93,7 @@ def test_a_robot_that_sends_no_health_is_said_to_send_none(capsys: Capture, *, s
     assert capsys.readouterr().out == SILENT
 
 
-def test_a_robot_without_a_token_is_listed_by_its_health(capsys: Capture) -> None:
-    """Health without a token is odd, and the list says so too."""
-    with FakeGateway("cruiser-1", token=False) as gateway:
-        assert list_robots(gateway.listen, meanwhile=speech(gateway, says=WELL)) == 0
-    assert "no liveliness token" in capsys.readouterr().out
-
-
 def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(capsys: Capture) -> None:
-    """Over a slow way back the tokens of many robots do not come in time: silence is no answer."""
     with (
         FakeFleet(400) as fleet,
         TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy,
@@ -116,7 +105,6 @@ def test_a_node_that_does_not_say_who_is_there_is_not_taken_for_an_empty_one(cap
 
 
 def test_a_list_that_may_not_be_whole_says_so(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who else is there was not answered in time: exit code 3. One that was ended early says nothing."""
     monkeypatch.setattr(RobotListener, "call_roll", lambda _listener, _timeout_s: PendingQuery())
     with FakeGateway("cruiser-1") as gateway:
         assert list_robots(gateway.listen, "--timeout", "2") == ExitCode.PARTIAL
@@ -146,7 +134,6 @@ class Output:
 
 
 def test_some_robots_are_shown_as_lines_without_a_terminal(capsys: Capture) -> None:
-    """Each second, in the order of their numbers, after a line on all of them; others are not heard."""
     output = Output(capsys)
     with (
         FakeGateway("cruiser-10") as first,
@@ -161,7 +148,6 @@ def test_some_robots_are_shown_as_lines_without_a_terminal(capsys: Capture) -> N
 
 
 def test_all_robots_are_shown_as_json(capsys: Capture) -> None:
-    """--json writes one object a robot and a line, with the messages' own field names."""
     output = Output(capsys)
     with FakeGateway("cruiser-1") as first, FakeGateway("cruiser-2", connect=first.listen) as second:
 
@@ -177,35 +163,10 @@ def test_all_robots_are_shown_as_json(capsys: Capture) -> None:
     assert (records["cruiser-2"]["state"], records["cruiser-2"]["connected"]) == (None, True)
 
 
-def test_a_robot_that_falls_silent_is_stale_and_one_that_leaves_is_gone(capsys: Capture) -> None:
-    """No old value is shown; when states come again, so do the values; the view stays."""
-    output = Output(capsys)
-    with FakeGateway("cruiser-1") as gateway:
-        is_gone = False
-
-        def speak() -> None:
-            nonlocal is_gone
-            before, _, after = output().partition("no contact")
-            if is_gone:
-                return
-            if "+1.25 m/s" in after:
-                is_gone = True
-                gateway.__exit__(None, None, None)
-            elif "+1.25 m/s" not in before or "no contact" in output.text:
-                gateway.say(STATE)
-
-        stopped = StopWhen(lambda: "this end is not connected to Zenoh" in output(), speak)
-        assert watch(gateway.listen, "cruiser-1", stopped=stopped) == 0
-    stale = next(line for line in output.text.splitlines() if "no contact" in line)
-    assert "its gateway is connected" in stale
-    assert "1.25" not in stale
-
-
 @pytest.mark.parametrize(("words", "shown"), [(["cruiser-1"], "mileage"), ([], "telemetry only")])
 def test_a_terminal_gets_a_live_view(
     capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: list[str], shown: str
 ) -> None:
-    """On the terminal's other screen, which is left at the end."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm")
     output = Output(capsys)
@@ -217,7 +178,6 @@ def test_a_terminal_gets_a_live_view(
 
 
 def test_it_ends_after_its_seconds_and_where_the_robot_is_not_there(capsys: Capture) -> None:
-    """With exit code 0 and 4; a signal while it waits is no error."""
     with FakeGateway("cruiser-1") as gateway:
         stopped = StopWhen(lambda: False, lambda: gateway.say(STATE))
         assert watch(gateway.listen, "cruiser-1", "--seconds", "1.5", stopped=stopped) == 0

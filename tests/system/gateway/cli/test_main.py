@@ -9,7 +9,7 @@ HEAVY = ("msgspec", "zenoh", "can", "cantools", "rich", "mcap", "google.protobuf
 
 
 def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own; the modules that it imported are its last line of output."""
+    """Run the command line in a process; its imported modules are the last line of output."""
     program = (
         "import sys\n"
         "from gateway.cli.main import main\n"
@@ -25,7 +25,6 @@ def cruiser(*words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["help"], [], ["--version"], ["wach"]])
 def test_help_and_mistakes_are_answered_without_what_only_commands_need(words: list[str]) -> None:
-    """The help, the version and a misspelt command import none of the packages that take long to import."""
     done = cruiser(*words)
     modules = done.stdout.splitlines()[-1].split()
     assert not set(HEAVY) & set(modules)
@@ -36,7 +35,6 @@ def test_help_and_mistakes_are_answered_without_what_only_commands_need(words: l
 
 @pytest.mark.parametrize("words", [["drive"], ["review", "why"]])
 def test_help_before_a_command_is_that_of_the_command(words: list[str]) -> None:
-    """As of git; and each command is in one group of the whole help."""
     asked, flagged = (cruiser(*one).stdout for one in (["help", *words], [*words, "--help"]))
     assert asked == flagged
     assert f"usage: cruiser {' '.join(words)}" in asked
@@ -48,7 +46,6 @@ def test_help_before_a_command_is_that_of_the_command(words: list[str]) -> None:
 )
 @pytest.mark.parametrize("words", ["--help", "decode"])
 def test_an_output_that_takes_nothing_is_no_traceback(words: str, redirection: str, code: int, says: str) -> None:
-    """Closed, full, or a reader that has gone: at most one line, never a traceback."""
     line = "'(1.0) can0 18C4D1EF#0104000000000005'"
     command = f"echo {line} | {sys.executable} -m gateway {words} {redirection}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False, timeout=60)  # noqa: S607
@@ -59,7 +56,6 @@ def test_an_output_that_takes_nothing_is_no_traceback(words: str, redirection: s
 
 
 def test_ctrl_c_before_a_command_has_begun_is_no_traceback() -> None:
-    """Until a command takes its signals, SIGINT ends the process at once."""
     program = (
         "import os\n"
         "from gateway.cli import main\n"
@@ -71,7 +67,6 @@ def test_ctrl_c_before_a_command_has_begun_is_no_traceback() -> None:
 
 
 def test_a_settings_file_that_was_not_named_is_one_line_with_the_command(tmp_path: Path) -> None:
-    """Who forgot it would be in open mode without a word."""
     (tmp_path / "operator.toml").write_text("")
     environment = {**os.environ, "HOME": str(tmp_path)}
     for names, warnings in (([], 1), (["--config", "operator.toml"], 0)):
@@ -91,7 +86,7 @@ def test_a_settings_file_that_was_not_named_is_one_line_with_the_command(tmp_pat
 
 @pytest.mark.parametrize("is_ignored", [False, True])
 def test_a_terminal_that_is_closed_ends_a_command_in_order(*, is_ignored: bool) -> None:
-    """SIGHUP comes twice, from the kernel and from the shell: a robot comes to rest meanwhile. nohup holds."""
+    """SIGHUP comes twice, from the kernel and from the shell. nohup holds."""
     program = (
         "import os, signal, sys\n"
         "from gateway.cli import main\n"

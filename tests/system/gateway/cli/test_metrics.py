@@ -49,7 +49,7 @@ def scrape(address: str) -> dict[tuple[str, str, str], float]:
 def shows(
     capsys: pytest.CaptureFixture[str], settings: Settings, said: Callable[[], None]
 ) -> dict[tuple[str, str, str], float]:
-    """Run the command in this process until robot and recorder are there. What it shows then."""
+    """Run the command in this process until robot and recorder are shown; return the values."""
     where: list[str] = []
     found: dict[tuple[str, str, str], float] = {}
 
@@ -69,7 +69,6 @@ def shows(
 def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
     role: TransportRole, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Through a router that denies everything else; when the certificate ends is shown too."""
     network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
     router, _ = open_router(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5", [])
     sessions = [
@@ -103,7 +102,6 @@ def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
 
 
 def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:
-    """All of it real, with the files that ``cruiser provision`` makes for a robot, a router and a viewer."""
     made = ProvisionedFleet(tmp_path, free_endpoint().replace("tcp/", "tls/"))
     router, robot, viewer = (
         made.let_in(*who) for who in (("router", "127.0.0.1"), ("robot", "cruiser-1"), ("viewer", "metrics"))
@@ -134,7 +132,6 @@ def certificate_end(file: Path) -> int:
 
 
 def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
-    """Not where this machine alone can. The second address is nobody's."""
     with MetricsServer(fleet(), "127.0.0.1", 0):
         assert not caplog.records
     with pytest.raises(CommandError, match=r"cannot listen on 192\.0\.2\.1:9747"):
@@ -143,7 +140,7 @@ def test_that_others_can_ask_is_said(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_a_page_whose_name_points_here_is_answered_nothing() -> None:
-    """A browser says the page's name in its request."""
+    """DNS rebinding: the browser sends the page's name in the Host header."""
     own, others = ("localhost", "127.0.0.1:9747", "[::1]:9747"), ("robots.example", "robots.example:9747", "")
     with MetricsServer(fleet(), "127.0.0.1", 0) as server:
         for name in (*own, *others):
@@ -156,7 +153,6 @@ def test_a_page_whose_name_points_here_is_answered_nothing() -> None:
 
 
 def test_who_asks_for_nothing_whole_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Others are answered meanwhile, and it is cut off, however often a little more comes."""
     monkeypatch.setattr("gateway.cli.metrics_server.REQUEST_S", 1.0)
     with MetricsServer(fleet(), "127.0.0.1", 0) as server, ExitStack() as stack:
         port = int(server.where.split(":")[2].partition("/")[0])
@@ -177,7 +173,6 @@ def test_who_asks_for_nothing_whole_holds_nobody_up(monkeypatch: pytest.MonkeyPa
 
 
 def reads(address: str) -> bool:
-    """Whoever connects as fast as a test does may have to wait a moment."""
     try:
         return scrape(address)["cruiser_exporter_connected", "", ""] == 1
     except OSError:
@@ -185,13 +180,12 @@ def reads(address: str) -> bool:
 
 
 def test_what_waited_while_it_was_held_up_is_not_new(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process that was stopped for a while shows no robot that fell silent meanwhile."""
     metrics = FleetMetrics("fleet", "1")
     clock = [10**12]
     monkeypatch.setattr(time, "monotonic_ns", lambda: clock[0])
 
     class Waiting:
-        """A listener in which a health waits when it is looked at for the second time."""
+        """A listener with a health on its second look."""
 
         looks = 0
 

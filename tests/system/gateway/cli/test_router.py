@@ -1,4 +1,4 @@
-"""``cruiser router``: it runs from its provisioned file, and says in one line what is wrong with it."""
+"""``cruiser router``: it runs from its provisioned file, and names in one line what is wrong with it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ def said(*words: str | Path, command: str = "router") -> tuple[int, str]:
 
 
 def test_it_listens_where_its_file_says(router: Path) -> None:
-    """Or where it is told to."""
     endpoint = json.loads((router / "router.json5").read_text())["listen"]["endpoints"][0]
     assert said("--directory", router, "--seconds", "0.1") == (0, f"router: listens on {endpoint}\n")
     other = free_endpoint().replace("tcp", "tls")
@@ -35,7 +34,6 @@ def test_it_listens_where_its_file_says(router: Path) -> None:
 
 
 def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
-    """A missing file, a damaged one, somebody else's, a wrong endpoint, one that is not of this machine."""
     (tmp_path / "damaged.json5").write_text("{mode:")
     operator = Network(router, "tls/127.0.0.1:1").node(TransportRole.OPERATOR, "ann")
     for words, code, says in (
@@ -58,7 +56,6 @@ def test_what_is_wrong_is_one_line(router: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, says: str) -> None:
-    """Then the cause, in one line: no router; a certificate that is another network's; one that is missing."""
     network = Network(tmp_path, free_endpoint().replace("tcp", "tls"))
     place = network.node(TransportRole.OPERATOR, "ann")
     (tmp_path / "other").mkdir()
@@ -81,7 +78,6 @@ def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, sa
 
 
 def test_a_stop_of_all_in_open_mode_that_has_no_link_says_the_same() -> None:
-    """A peer's session opens although nobody is there."""
     code, text = said("--all", "--connect", "tcp/127.0.0.1:1", "--timeout", "0.5", command="stop")
     lines = text.splitlines()
     assert (code, len(lines)) == (4, 2), text

@@ -1,4 +1,4 @@
-"""``cruiser setup`` on a machine below a directory, with a virtual chassis, and services that are processes."""
+"""``cruiser setup`` on a machine below a directory, with a virtual chassis, and services as processes."""
 
 import os
 import time
@@ -27,16 +27,11 @@ from tests.support.provisioning import ProvisionedFleet
 
 TOML = "/etc/cruiser/cruiser.toml"
 WELL = "standing, feedback complete, guarded, recording, "
-ELSEWHERE = ("realtime: ", "note: ")
-"""Findings that depend on the machine on which the tests run."""
+ELSEWHERE = ("realtime: ", "note: ")  # findings that depend on the test machine
 
 
 class FakeSystemd:
-    """A machine whose services are processes of this test; their places are below a directory.
-
-    Attributes:
-        listen: where the gateway is to be reached, if not where it says itself.
-    """
+    """A machine below a directory, whose services are processes of this test."""
 
     def __init__(self, root: Path, processes: ExitStack) -> None:
         self.root = root
@@ -56,7 +51,6 @@ class FakeSystemd:
         return ""
 
     def _start(self, unit: str) -> None:
-        """Start a service with the environment that its unit gives it."""
         file, keys = str(self.root / TOML[1:]), self.root / "etc/cruiser"
         listen = ["--listen", self.listen] if self.listen else []
         words, environment = {
@@ -80,7 +74,6 @@ def _zenoh_of(file: Path) -> dict[str, str]:
 
 @pytest.fixture
 def processes() -> Iterator[ExitStack]:
-    """What is started in a test; ended in reverse."""
     with ExitStack() as stack:
         yield stack
 
@@ -92,7 +85,6 @@ def bus(processes: ExitStack) -> str:
 
 @pytest.fixture
 def systemd(processes: ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeSystemd:
-    """A machine with nothing but the package; the services' own directories are below it."""
     root = tmp_path / "root"
     (root / "var/lib/cruiser/logs").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
@@ -110,7 +102,7 @@ def of(bus: str) -> list[str]:
 
 
 def is_well(code: ExitCode, text: str) -> bool:
-    """The examination ends well, but for what the machine of the test lacks."""
+    """Return True if doctor finds nothing but what the test machine lacks."""
     findings = [line for line in text.splitlines() if " -> " in line and not line.startswith(ELSEWHERE)]
     return not findings and (code is ExitCode.OK) == (WELL in text)
 
@@ -118,7 +110,6 @@ def is_well(code: ExitCode, text: str) -> bool:
 def test_a_bare_machine_becomes_a_robot_that_is_recorded(
     bus: str, systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It writes, starts, and examines. A second time a gateway that is not the service's is in its way."""
     systemd.listen = free_endpoint()
     monkeypatch.setenv("CRUISER_ZENOH_CONNECT", systemd.listen)
     code = set_up(systemd.machine(), *of(bus), "--robot", "depot-3")
@@ -141,7 +132,6 @@ def test_a_robot_with_bundles_is_set_up_in_signed_mode(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Those that are named, once somebody compared their authority: each where its service has its keys."""
     _, _, port = split_endpoint(free_endpoint())
     fleet = ProvisionedFleet(tmp_path / "fleet", f"tls/127.0.0.1:{port}")
     keys = systemd.root / "etc/cruiser"
@@ -178,7 +168,6 @@ def test_a_robot_with_bundles_is_set_up_in_signed_mode(
 def test_who_is_asked_has_to_have_compared_the_authority(
     systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody says yes by pressing Enter."""
     fleet = ProvisionedFleet(tmp_path / "fleet")
     bundle = fleet.sign(fleet.request("robot", "depot-3"))
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
@@ -198,7 +187,6 @@ def test_who_is_asked_has_to_have_compared_the_authority(
 def test_a_bundle_is_a_file_of_roots_or_of_who_asks(
     systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By sudo or not; and nothing is taken that only lies there."""
     (tmp_path / "stranger.bundle").write_text("no bundle")
     fleet = ProvisionedFleet(tmp_path / "fleet")
     bundle = fleet.sign(fleet.request("robot", "depot-3"))
@@ -215,7 +203,6 @@ def test_a_bundle_is_a_file_of_roots_or_of_who_asks(
 def test_without_systemd_the_settings_are_written(
     systemd: FakeSystemd, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a bench without a bus, too."""
     assert set_up(systemd.machine(has_systemd=False), "--defaults") is ExitCode.OK
     assert "no systemd on this machine" in capsys.readouterr().out
     assert (systemd.root / TOML[1:]).exists()
@@ -223,7 +210,6 @@ def test_without_systemd_the_settings_are_written(
 
 
 def test_another_gateway_on_the_bus_keeps_it_from_being_set_up(bus: str, systemd: FakeSystemd) -> None:
-    """One of this machine that commands nothing yet; nobody learns that later on the road."""
     with gateway(bus, free_endpoint()), pytest.raises(CommandError, match="more than one gateway"):
         set_up(systemd.machine(), *of(bus))
 
@@ -231,7 +217,6 @@ def test_another_gateway_on_the_bus_keeps_it_from_being_set_up(bus: str, systemd
 def test_a_bundle_whose_certificate_is_over_is_refused(
     bus: str, systemd: FakeSystemd, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before anything is written; and one that is no bundle, or is not there."""
     fleet = ProvisionedFleet(tmp_path / "fleet")
     bundle = fleet.sign(fleet.request("robot", "depot-3"))
     now_s = time.time()
@@ -249,13 +234,12 @@ def test_a_bundle_whose_certificate_is_over_is_refused(
 
 
 def test_without_a_terminal_it_wants_defaults(systemd: FakeSystemd) -> None:
-    """It never waits for an answer that cannot come."""
     with pytest.raises(CommandError, match="use --defaults"):
         set_up(systemd.machine())
 
 
 def bring_up(systemd: FakeSystemd) -> None:
-    """Let the kernel have a CAN interface that is up."""
+    """Give the kernel a CAN interface that is up."""
     link = systemd.root / "sys/class/net/can0"
     link.mkdir(parents=True)
     for name, text in (("type", "280"), ("tx_queue_len", "10"), ("flags", "0x40081")):
@@ -279,7 +263,6 @@ CHASSIS = BusReport("", WELL_HEALTH, replace(STATE, speed_mps=0.0))
 def test_nothing_is_changed_while_somebody_drives(
     systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch, report: BusReport, says: str
 ) -> None:
-    """Another bit rate, or another start of the gateway, would take the bus from who drives."""
     bring_up(systemd)
     monkeypatch.setattr(setup, "listen", lambda *_: report)
     with pytest.raises(CommandError, match=says) as caught:
@@ -290,7 +273,6 @@ def test_nothing_is_changed_while_somebody_drives(
 
 
 def test_a_person_is_asked_what_no_flag_says(systemd: FakeSystemd, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Return takes what was found; an answer that cannot be is asked again."""
     asked: list[str] = []
     answers = iter(["Depot 3", "depot-3", "", "fast", "250000", ""])
 

@@ -35,7 +35,6 @@ def running() -> Iterator[Served]:
 
 
 def test_it_says_where_it_is_and_ends_on_sigterm() -> None:
-    """With port 0 it names the port that it got; the variant and faults are those of its flags."""
     faults = ("--fault", "0.3s bumper rear on", "--fault", "foreign 123")
     with chassis("--variant", "fine", *faults) as (sim, address), bus_at(address) as bus:
         assert sim.said == [f"sim: fine chassis on {address}"]
@@ -47,7 +46,6 @@ def test_it_says_where_it_is_and_ends_on_sigterm() -> None:
 
 
 def test_conditions_come_by_flag() -> None:
-    """On a hill it rolls when its parking brake is released, and in a mode stop that coasts it rolls on."""
     faults = (word for fault in ("slope -20", "payload 50", "pedal 0.5") for word in ("--fault", fault))
     with chassis(*faults, "--stop-mode", "coasts") as (_, address), bus_at(address) as bus:
         for enable, least_mps in ((True, 0.1), (False, 4.0)):
@@ -58,8 +56,6 @@ def test_conditions_come_by_flag() -> None:
 
 
 def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
-    """Accept a wheel speed frame whose rear left wheel is faster."""
-
     def is_faster(message: can.Message) -> bool:
         speed_mps = (int.from_bytes(message.data[1:3], "little") & 0x1FF) * 0.04 - 8
         return message.arbitration_id == WHEELS and speed_mps > least_mps
@@ -68,7 +64,6 @@ def wheels_faster_than(least_mps: float) -> Callable[[can.Message], bool]:
 
 
 def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
-    """The second chassis is a client of the first one's server, and ends when that bus is lost."""
     channel = f"{running.host}:{running.port}"
     words = ("--interface", "socketcand", "--channel", channel, "--fault", "foreign 321")
     with Running("sim", *words) as sim:
@@ -81,13 +76,11 @@ def test_it_attaches_to_a_bus_of_python_can(running: Served) -> None:
 
 
 def test_seconds_end_it(capsys: pytest.CaptureFixture[str]) -> None:
-    """A run of limited time is a success."""
     assert in_process("sim", "--listen", "127.0.0.1:0", "--seconds", "0.05") == ExitCode.OK
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.CaptureFixture[str]) -> None:
-    """The answer is on stdout, the effect on the bus."""
     place = f"{running.host}:{running.port}"
     assert in_process("fault", "--sim", place, "transmitter", "remote") == ExitCode.OK
     assert in_process("fault", "--sim", place, "sticks", "-0.5", "-10") == ExitCode.OK
@@ -98,7 +91,6 @@ def test_fault_disturbs_a_running_chassis(running: Served, capsys: pytest.Captur
 
 @pytest.mark.parametrize("speech", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n<html>", b"<" * 5000, b"< hi >"])
 def test_another_server_is_not_taken_for_a_chassis(speech: bytes, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever answers there, the command ends with one line."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def speak() -> None:

@@ -1,4 +1,4 @@
-"""What no command can do: one line that says what is wrong, and an exit code, for the words of all commands."""
+"""Wrong arguments of all commands: one line that names what is wrong, and an exit code."""
 
 import shlex
 import socket
@@ -151,7 +151,6 @@ WRONG: list[tuple[str, ExitCode, str]] = [
 
 @pytest.mark.parametrize(("words", "code", "says"), WRONG, ids=[words for words, *_ in WRONG])
 def test_what_cannot_be_is_one_line_and_a_code(tmp_path: Path, words: str, code: ExitCode, says: str) -> None:
-    """It names what is wrong; nothing is begun, and nothing is a traceback."""
     (tmp_path / "none.pem").write_text("none")
     (tmp_path / "standby.pub").write_text("ab" * 32)
     with socket.create_server(("127.0.0.1", 0)) as taken:

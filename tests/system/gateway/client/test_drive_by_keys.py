@@ -1,4 +1,4 @@
-"""``cruiser drive`` on a terminal: a real process on a pseudo-terminal, against a robot of this process."""
+"""``cruiser drive`` on a pseudo-terminal, against a robot of this process."""
 
 import itertools
 import os
@@ -27,11 +27,7 @@ REPEATS = 20
 
 
 class Driver:
-    """A person at a terminal.
-
-    Attributes:
-        seen: everything that was drawn.
-    """
+    """A person at a terminal; ``seen`` is everything that was drawn."""
 
     def __init__(self, endpoint: str) -> None:
         self.seen = b""
@@ -66,7 +62,7 @@ class Driver:
             os.close(self._master)
 
     def types(self, keys: bytes) -> Callable[[], None]:
-        """To do again and again: a key that is pressed, repeats as a keyboard does, and is let go; in turns."""
+        """Return a function to call repeatedly: it presses, repeats and releases a key, as a keyboard does."""
         pauses_s = itertools.cycle([FIRST_REPEAT_S, *[REPEAT_S] * REPEATS, LET_GO_S])
         due_s = 0.0
 
@@ -100,7 +96,6 @@ class Driver:
 
 
 def test_a_key_that_repeats_drives_and_its_end_stops() -> None:
-    """X leaves a robot that stands by, and the terminal as it was."""
     with FakeRobot() as fake, Driver(fake.listen) as driver:
         wait_until(lambda: fake.state is ArbiterState.ENGAGED)
         wait_until(lambda: fake.speed_mps > 0.3, driver.types(b"w"))
@@ -115,7 +110,6 @@ def test_a_key_that_repeats_drives_and_its_end_stops() -> None:
 
 @pytest.mark.parametrize("key", [b"\x03", b"q"])
 def test_ctrl_c_and_q_stop_and_leave(key: bytes) -> None:
-    """What became of the robot is said."""
     with FakeRobot() as fake, Driver(fake.listen) as driver:
         wait_until(lambda: fake.state is ArbiterState.ENGAGED)
         wait_until(lambda: fake.speed_mps > 0.1 and fake.angle_deg > 10, driver.types(b"u"))
@@ -126,7 +120,6 @@ def test_ctrl_c_and_q_stop_and_leave(key: bytes) -> None:
 
 
 def test_a_window_that_is_closed_stops_the_robot() -> None:
-    """Whatever the process does then, the robot stands."""
     with FakeRobot() as fake, Driver(fake.listen) as driver:
         wait_until(lambda: fake.state is ArbiterState.ENGAGED)
         wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
@@ -135,7 +128,6 @@ def test_a_window_that_is_closed_stops_the_robot() -> None:
 
 
 def test_why_it_stands_is_shown_and_r_and_g_bring_it_back() -> None:
-    """A stop is shown with its reason; nothing resumes by itself, nor by the key that is still held."""
     with FakeRobot() as fake, Driver(fake.listen) as driver:
         wait_until(lambda: fake.state is ArbiterState.ENGAGED)
         wait_until(lambda: fake.speed_mps > 0.1, driver.types(b"w"))
@@ -152,7 +144,6 @@ def test_why_it_stands_is_shown_and_r_and_g_bring_it_back() -> None:
 
 
 def test_a_robot_that_cannot_be_engaged_is_shown_with_the_reason() -> None:
-    """The program stays, so that the person can see what it waits for."""
     with FakeRobot(mode=Mode.REMOTE) as fake, Driver(fake.listen) as driver:
         driver.wait_shows("the remote control has the robot")
         assert driver.process.poll() is None

@@ -46,7 +46,7 @@ def run(module: object, endpoint: str, *words: str, until: Callable[[], bool] = 
 def fails(
     code: ExitCode, says: str, module: object, endpoint: str, *words: str, **more: Callable[[], bool]
 ) -> str:
-    """Run a command that ends with this code, and a line that says so; the line."""
+    """Run a command that ends with this code and such a line; return the line."""
     with pytest.raises(CommandError, match=says or None) as caught:
         run(module, endpoint, *words, **more)
     assert caught.value.code is code
@@ -54,7 +54,6 @@ def fails(
 
 
 def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture) -> None:
-    """Acquire, engage, unpark, drive, disengage, release: in this order, and the robot stands by at the end."""
     with FakeRobot() as fake:
         words = ("cruiser-1", "--speed", "-0.2", "--angle", "3", "--seconds", "1", "--deadman", "0.9")
         assert run(drive, fake.listen, *words) == 0
@@ -70,7 +69,6 @@ def test_drive_for_a_script_drives_and_leaves_the_robot_at_rest(capsys: Capture)
 
 
 def test_drive_is_ended_early_at_rest(capsys: Capture) -> None:
-    """With exit code 3: Ctrl-C brings the robot to rest first. A limit holds whatever is asked for."""
     limits = Settings(command=CommandSettings(speed_limit_mps=0.25))
     with FakeRobot(settings=limits) as fake:
         moves = lambda: abs(fake.speed_mps) >= 0.2  # noqa: E731 - it reads as a condition
@@ -87,7 +85,6 @@ def hit(fake: FakeRobot) -> None:
 
 
 def loosen(fake: FakeRobot) -> None:
-    """Let its brake never read applied: it stands in gear, and its motor holds it."""
     fake.loose = True
 
 
@@ -114,7 +111,6 @@ def test_a_drive_that_does_not_end_well_says_why(
     says: str,
     code: ExitCode,
 ) -> None:
-    """A script must not go on as if all were well, nor hear of what cleaning up asks."""
     if fault is loosen:
         monkeypatch.setattr("gateway.client.robot.REST_S", 3.0)
     begun: list[bool] = []
@@ -132,7 +128,7 @@ def test_a_drive_that_does_not_end_well_says_why(
 
 @pytest.mark.parametrize("verb", ACTIONS)
 def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None:
-    """Without a lease it makes do by itself and leaves the robot standing by, with the lease given back."""
+    """Without a lease; afterwards the lease is released."""
     module, words = ACTIONS[verb]
     with FakeRobot() as fake:
         assert run(module, fake.listen, "cruiser-1", *words, until=lambda: bool(fake.accepted(verb))) == 0
@@ -145,7 +141,6 @@ def test_an_action_engages_does_it_and_rests(verb: str, capsys: Capture) -> None
 
 
 def test_an_action_uses_the_lease_of_another_terminal(capsys: Capture) -> None:
-    """With --lease it asks once, and leaves robot and lease to who holds it; nobody else's number will do."""
     with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as held:
         held.engage()
         for verb, (module, words) in ACTIONS.items():
@@ -160,7 +155,6 @@ def test_an_action_uses_the_lease_of_another_terminal(capsys: Capture) -> None:
 
 
 def test_stop_and_reset(capsys: Capture) -> None:
-    """Each returns when it is done. Stop needs no lease; reset acquires one, or uses that of another terminal."""
     with FakeRobot() as fake:
         with fake.engaged() as (robot, held):
             wait_until(lambda: fake.speed_mps > 0.2, lambda: held.drive(1.0))
@@ -191,7 +185,7 @@ def test_stop_and_reset(capsys: Capture) -> None:
 
 
 def test_a_stop_of_somebody_elses_is_reset_by_name(capsys: Capture) -> None:
-    """Row 'reset of a stop by somebody else': whoever stopped it may stand before it, and is named first."""
+    """Row 'reset of a stop by somebody else': whoever stopped the robot may stand before it."""
     with FakeRobot("cruiser-1") as fake:
         with fake.seen_by("bob") as robot:
             robot.stop()
@@ -204,7 +198,6 @@ def test_a_stop_of_somebody_elses_is_reset_by_name(capsys: Capture) -> None:
 
 
 def test_stop_takes_several_names_and_patterns(capsys: Capture) -> None:
-    """Those that are meant alone; a name or a pattern that nobody answers to is said, exit code 3."""
     with (
         FakeRobot("depot-1") as fake,
         FakeRobot("depot-2", connect=fake.listen) as second,
@@ -222,7 +215,6 @@ def test_stop_takes_several_names_and_patterns(capsys: Capture) -> None:
 
 
 def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
-    """Exit code 4, and a hint to the button; 3 if only some answered."""
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen, deaf=True) as deaf:
         nobody = "no robot replied"
         fails(ExitCode.UNREACHABLE, nobody, stop, fake.listen, "cruiser-2", "--timeout", "2")
@@ -241,7 +233,6 @@ def test_stop_that_nobody_answers_is_an_error(capsys: Capture) -> None:
 
 
 def test_who_names_a_robot_that_is_not_there_learns_which_are() -> None:
-    """A name is easily mistyped: the true ones are told. Of one that is connected and silent they are not."""
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen):
         for module in (why, stop, watch):
             says = r"; connected: cruiser-1, cruiser-2$"
@@ -252,7 +243,7 @@ def test_who_names_a_robot_that_is_not_there_learns_which_are() -> None:
 
 
 def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> None:
-    """Row 'a stop that cannot be carried out: reason, what it does now; exit 3': of one robot, or all."""
+    """Row 'a stop that cannot be carried out: reason, what it does now; exit 3'."""
     with FakeRobot("cruiser-1") as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
         other.mode = Mode.REMOTE
         assert run(stop, fake.listen, "cruiser-2") == 3
@@ -269,7 +260,6 @@ def test_a_stop_that_cannot_be_carried_out_is_no_success(capsys: Capture) -> Non
 
 
 def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
-    """And the newest events; exit code 1 while anything is wrong, 0 for one that idles and one that would move."""
     with FakeRobot() as fake:
 
         def says(code: int, *texts: str, but: str = "\0") -> None:
@@ -303,7 +293,7 @@ def test_why_says_each_reason_with_its_cure(capsys: Capture) -> None:
 
 
 def test_why_says_that_the_gateway_has_no_real_time_priority(capsys: Capture) -> None:
-    """Row 'a gateway without real-time priority says so in why': with its cure, also as JSON."""
+    """Row 'a gateway without real-time priority says so in why'."""
     slow = msgspec.structs.replace(HEALTH, realtime=False)
     with FakeRobot(health=slow) as fake:
         run(why, fake.listen, "cruiser-1")
@@ -317,7 +307,6 @@ def test_why_says_that_the_gateway_has_no_real_time_priority(capsys: Capture) ->
 
 
 def test_lease_shows_the_holder_and_can_be_held(capsys: Capture) -> None:
-    """Held until told to stop, taken only from who may lose it; its number is the output."""
     with FakeRobot() as fake:
         assert run(lease, fake.listen, "cruiser-1") == 0
         assert capsys.readouterr().out == "cruiser-1: no operator holds the lease\n"

@@ -1,4 +1,4 @@
-"""The operator's program is killed, stopped, or hangs, as a real process: the robot comes to rest, and stays."""
+"""The operator's program is killed, stopped, or hangs, as a real process: the robot comes to rest."""
 
 import signal
 import subprocess
@@ -31,7 +31,7 @@ SILENCE = 100  # frames of feedback, which a chassis sends in 0.2 s
 
 
 class Scene:
-    """A robot that first's program drives, seen by second and by somebody on the bus."""
+    """A robot that first's program drives, watched by second and on the bus."""
 
     def __init__(self, stack: ExitStack) -> None:
         self.endpoint = free_endpoint()
@@ -54,15 +54,11 @@ class Scene:
         self.events: list[SafetyEvent] = []
 
     def has_heard(self, kind: EventKind, *reasons: Reason) -> bool:
-        """An event of this kind was published, for one of these reasons."""
         self.events += self.second.events()
         return any(event.kind is kind and event.reason in reasons for event in self.events)
 
     def wait_at_rest(self) -> None:
-        """Wait until nothing is told to a chassis that stands, out of auto.
-
-        The last bursts may be on their way to the listener when the arbiter already says that it is standing by.
-        """
+        """Wait until the chassis stands, out of auto, and gets no more frames: some may arrive after standby."""
         assert self.second.wait_for(lambda state: state.state is ArbiterState.STANDBY, DEADLINE_S)
         wait_until(lambda: self.listener.stands() and self.listener.mode() is Mode.STOP)
         wait_until(lambda: self.listener.silence > SILENCE)
@@ -82,7 +78,7 @@ def driven() -> Iterator[Scene]:
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, by_night(operator_program.HANG)])
 def test_the_robot_of_an_operator_who_fails_comes_to_rest(number: signal.Signals) -> None:
-    """Row 'deadman'. It stays so when a stopped program goes on, and the lease is free after its time."""
+    """Row 'deadman'. The lease is free after its time, and a stopped program that goes on moves nothing."""
     with driven() as scene:
         scene.program.send_signal(number)
         wait_until(lambda: scene.has_heard(EventKind.STOP, *STARVED))
@@ -100,13 +96,12 @@ def test_the_robot_of_an_operator_who_fails_comes_to_rest(number: signal.Signals
 
 
 def tokens(session: zenoh.Session) -> list[str]:
-    """Who says that he lives."""
     replies = session.liveliness().get("operators/*", timeout=10)
     return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
 
 def test_a_liveliness_token_is_no_sign_that_anybody_drives() -> None:
-    """Design: the token is never the deadman. The program hangs, its token is there, and the robot stops."""
+    """Design: the token is never the deadman."""
     with driven() as scene:
         session = open_session(ZenohSettings(mode="client"), [scene.endpoint], [])
         try:
@@ -120,7 +115,6 @@ def test_a_liveliness_token_is_no_sign_that_anybody_drives() -> None:
 
 
 def test_a_machine_that_is_too_busy_drives_or_stops_and_never_jumps() -> None:
-    """Whatever the scheduler does: whole bursts, each counter goes on, no speed rises by more than is allowed."""
     with driven() as scene, burning():
         begun = len(scene.listener.bursts)
         wait_until(lambda: len(scene.listener.bursts) > begun + 200 or scene.has_heard(EventKind.STOP, *STARVED))

@@ -28,7 +28,7 @@ from tests.support.waiting import wait_until
 def test_a_robot_is_said_to_stop_where_it_answers_and_is_seen_to(
     knobs: dict[str, Any], timeout_s: float, stopped: list[str], silent: list[str], unconfirmed: object
 ) -> None:
-    """The puts stop one that answers no query; what the wheels do counts. Another robot is not meant."""
+    """The puts stop a robot that answers no query. Another robot is not affected."""
     with FakeRobot(**knobs) as fake, FakeRobot("cruiser-2", connect=fake.listen) as other:
         report = remote_stop.stop_from_here(fake.there, "cruiser-1", "first", timeout_s)
         assert (report.stopped, report.refused, report.silent, report.linked) == (stopped, {}, silent, True)
@@ -40,14 +40,12 @@ def test_a_robot_is_said_to_stop_where_it_answers_and_is_seen_to(
 
 
 def test_a_fleet_that_is_not_counted_in_time_is_not_said_to_be_all() -> None:
-    """Over a slow way back the tokens of many robots do not come in time: there may be more than those named."""
     with FakeFleet(400) as fleet, TcpLink(fleet.listen, down_bytes_per_s=1280) as proxy:
         report = stop_all("first", settings_for(proxy.endpoint), 3)
     assert (report.linked, report.counted) == (True, False)
 
 
 def test_it_reaches_a_robot_that_comes_later() -> None:
-    """It is said again and again: a robot whose link returns within the time hears it."""
     endpoint = free_endpoint()
     with CommandPort.open(settings_for(endpoint), keys.ALL, "first") as port:
         stopping = remote_stop._Stopping(port, ROOT, keys.ALL, list)

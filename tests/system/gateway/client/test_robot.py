@@ -19,7 +19,6 @@ from tests.support.waiting import nothing, wait_until
 
 
 def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
-    """Acquire, engage, drive, disengage: no command of the stream is refused from engaging on."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         wait_until(lambda: fake.speed_mps == 0.5, lambda: lease.drive(0.5, angle_deg=5.0))
         assert {one.requested_speed_mps for one in fake.refused("drive")} <= {0.0}, "before engage was received"
@@ -36,7 +35,6 @@ def test_a_drive_that_is_renewed_moves_the_robot_and_ends_in_standby() -> None:
 
 
 def test_a_lease_is_renewed_until_the_stream_renews_it() -> None:
-    """It outlives its time by several renewals; then zero speed is sent for longer than deadman and lease last."""
     with FakeRobot() as fake, fake.seen_by() as robot, robot.lease() as lease:
         wait_until(lambda: len(fake.accepted("renew")) >= 6)
         lease.check()
@@ -50,7 +48,6 @@ def test_a_lease_is_renewed_until_the_stream_renews_it() -> None:
 
 
 def test_the_end_of_the_block_gives_the_lease_back_and_stops_the_robot() -> None:
-    """Also when the body fails, and its error is not hidden."""
     with FakeRobot() as fake, fake.seen_by() as robot:
         with pytest.raises(ZeroDivisionError), robot.lease() as lease:  # noqa: PT012 - what happens is the point
             lease.engage()
@@ -64,7 +61,6 @@ def test_the_end_of_the_block_gives_the_lease_back_and_stops_the_robot() -> None
 
 
 def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
-    """The next call says why; drive commands cease; a reset and engage bring it back, at zero speed."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         fake.front_bumper = True
@@ -84,7 +80,6 @@ def test_a_stop_ends_the_stream_and_is_told_with_its_reason() -> None:
 
 
 def test_a_lease_that_is_taken_is_told_to_who_loses_it() -> None:
-    """Who lost it can do nothing more with it; the robot was stopped."""
     with FakeRobot() as fake, fake.engaged() as (_, lease), fake.seen_by("second") as theirs:
         with pytest.raises(Refused) as refusal, theirs.lease():
             pass
@@ -120,7 +115,6 @@ def test_a_lease_that_was_lost_unseen_is_told_by_its_renewal() -> None:
 
 
 def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
-    """The zero is in the stream, the question is not: it waits until the robot has heard the zero."""
     with FakeRobot() as fake, fake.engaged() as (_, lease):
         for _ in range(5):
             wait_until(lambda: fake.speed_mps == 0.3, lambda: lease.drive(0.3))
@@ -136,7 +130,6 @@ def test_park_may_follow_at_once_when_zero_is_asked_for() -> None:
 
 
 def test_every_verb_of_the_lease_does_its_part() -> None:
-    """Park, unpark, light, horn and odometer are accepted while engaged; engaging twice is refused here."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         lease.light(headlamp=True, left=True)
         lease.horn(on=True)
@@ -155,7 +148,6 @@ def test_every_verb_of_the_lease_does_its_part() -> None:
 
 
 def test_what_returns_is_done_and_what_follows_is_taken() -> None:
-    """Unless nobody waits: then a stop sequence is under way, and the next request lets it end."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         lease.disengage(wait=False)
         with pytest.raises(Refused, match="stopping"):
@@ -181,7 +173,6 @@ def test_what_returns_is_done_and_what_follows_is_taken() -> None:
 
 
 def test_what_is_latched_after_a_reset_was_asked_for_is_not_reset() -> None:
-    """The reset waits for the end of a stop, and nobody has seen what comes meanwhile."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         robot.stop(30, wait=False)
         latch = threading.Timer(0.1, fake.flow.arbiter.engagement.latch, (Reason.OVERSPEED, "", fake.now_ns))
@@ -194,7 +185,6 @@ def test_what_is_latched_after_a_reset_was_asked_for_is_not_reset() -> None:
 
 
 def test_the_remote_stop_needs_no_lease_and_a_takeover_is_told_like_a_stop() -> None:
-    """From anyone, at once, also as puts. What is not carried out is never ok alone."""
     with FakeRobot() as fake, fake.engaged() as (_, lease), fake.seen_by("second") as theirs:
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0))
         theirs.stop(30)
@@ -213,7 +203,6 @@ def test_the_remote_stop_needs_no_lease_and_a_takeover_is_told_like_a_stop() -> 
 
 
 def test_state_has_an_age_and_an_end() -> None:
-    """The newest safety/state is given while it is fresh; a robot that falls silent is out of reach."""
     with FakeRobot() as fake, fake.engaged() as (robot, lease):
         assert 0 <= robot.state().age_s <= 1
         assert robot.state().state.lease_holder == "first"
@@ -234,7 +223,6 @@ def test_state_has_an_age_and_an_end() -> None:
 
 
 def test_events_are_heard_those_of_before_too() -> None:
-    """Each event once, in order."""
     with FakeRobot() as fake:
         with fake.seen_by() as robot, robot.lease():
             pass
@@ -246,7 +234,6 @@ def test_events_are_heard_those_of_before_too() -> None:
 
 
 def test_a_robot_that_is_not_there_is_unreachable() -> None:
-    """No node, a node without the robot, a gateway without an arbiter, and one that answers nothing."""
     with FakeRobot() as fake, fake.seen_by() as robot:
         fake.deaf = True
         with pytest.raises(Unreachable, match="did not answer acquire"), robot.lease():
@@ -271,7 +258,6 @@ def test_a_robot_that_is_not_there_is_unreachable() -> None:
 
 
 def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:
-    """Neither before nor after, and no two at a time."""
     with FakeRobot() as fake, fake.seen_by() as robot:
         lease = robot.lease()
         with pytest.raises(ValueError, match="within its with statement"):
@@ -283,7 +269,6 @@ def test_a_lease_outside_its_block_is_an_error_of_the_program() -> None:
 
 
 def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
-    """Set points of before are not driven when the robot is heard again."""
     with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: fake.speed_mps > 0.2, lambda: lease.drive(1.0, hold_s=2.0))
         fake.mute = True
@@ -296,7 +281,7 @@ def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
 
 
 def test_the_stream_has_the_rate_of_the_contract() -> None:
-    """At least 20 commands a second, by the robot's clock, and at most 50 a second, by the sender's."""
+    """20 to 50 commands a second."""
     begun_s = time.monotonic()
     with FakeRobot() as fake, fake.engaged() as (_, lease):
         wait_until(lambda: len(fake.accepted("drive")) > 60, lambda: lease.drive(0.1))

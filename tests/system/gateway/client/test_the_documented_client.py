@@ -1,4 +1,4 @@
-"""The client that docs/commands.md shows, as a program of its own."""
+"""The client in docs/commands.md, as a program."""
 
 import subprocess
 import sys
@@ -24,13 +24,12 @@ def documented() -> str:
 
 
 def test_it_is_short() -> None:
-    """Somebody reads it, and writes it anew in another language."""
     assert len([line for line in documented().splitlines() if line]) <= LINES_MAX
 
 
 @pytest.mark.parametrize("one_way_s", [0.0, 0.2])
 def test_it_drives_near_and_far(one_way_s: float) -> None:
-    """Goal of the row 'travel delay': 200 ms one way. It drives, comes to rest and gives the lease back."""
+    """Row 'travel delay': 200 ms one way."""
     with FakeRobot() as fake:
         with TcpLink(fake.listen, lambda: one_way_s) as link:
             program = documented()

@@ -30,7 +30,6 @@ def _complaint(file: str) -> str:
 
 
 def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
-    """The variable names the file only where no path does; an empty one names none, an empty path is an error."""
     # As editors on Windows write it.
     file = _written(tmp_path, b"\xef\xbb\xbf[can]\r\nchannel = 'vcan7'\r\n")
     assert load_settings(None, {"CRUISER_CONFIG": file}, {}).can.channel == "vcan7"
@@ -54,7 +53,6 @@ def test_the_path_wins_over_the_variable(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_read_is_one_clear_line(
     tmp_path: Path, name: str, content: bytes | None, says: str
 ) -> None:
-    """It names the file, or the line in it; and the flag for Zenoh's own file, which lies beside it."""
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(CommandError, match=says) as caught:
@@ -67,14 +65,12 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(
 @hypothesis_settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary() | st.text("canbus.=[]{}'\"\\\n #1,").map(str.encode))
 def test_no_bytes_do_more_than_fail_with_one_line(tmp_path: Path, content: bytes) -> None:
-    """Any bytes are either a configuration or one printable line that names the file."""
     message = _complaint(_written(tmp_path, content))
     assert message.isprintable()
     assert "robot.toml" in message or message == "right"
 
 
 def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
-    """Neither as the settings, nor as the Zenoh file that they name."""
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
     with pytest.raises(CommandError, match=r"cannot read the configuration file .* it is a FIFO"):
@@ -88,7 +84,7 @@ def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with nothing in it, and no home or system directory with anything."""
+    """A working directory without files, and no home or system directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(configuration_file, "SYSTEM_FILE", tmp_path / "etc" / "cruiser.toml")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
@@ -102,14 +98,13 @@ def _unread(command: str, environ: dict[str, str] | None = None, connect: str = 
 
 
 def _connects(command: str) -> bool:
-    """Return True if a command takes a place to connect to as a flag of its own."""
     parser = argparse.ArgumentParser()
     pkgutil.resolve_name(COMMANDS[command][0]).add_arguments(parser)
     return "--connect ENDPOINT" in parser.format_help()
 
 
 def test_every_command_that_connects_has_a_settings_file_of_its_users() -> None:
-    """One that had none would run in open mode beside it, and say nothing; one that was renamed too."""
+    """Without one it would silently run in open mode beside it."""
     assert set(OWN_FILES) == {command for command in COMMANDS if _connects(command)}
 
 
@@ -119,7 +114,6 @@ def test_every_command_that_connects_has_a_settings_file_of_its_users() -> None:
 def test_a_settings_file_that_was_not_named_is_found_in_the_working_directory(
     place: Path, command: str, name: str
 ) -> None:
-    """The file of each command's user alone: a robot's says nothing to an operator."""
     assert _unread(command) == ""
     (place / name).write_text("")
     assert _unread(command) == name
@@ -138,7 +132,6 @@ def test_a_settings_file_that_was_not_named_is_found_in_the_working_directory(
 def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(
     place: Path, place_of_keys: str, environment: dict[str, str]
 ) -> None:
-    """Wherever the directory of the keys is. A directory of that name is no settings file."""
     (place / "robot.toml").mkdir()
     file = place / place_of_keys / "robot.toml"
     file.parent.mkdir(parents=True)
@@ -148,7 +141,6 @@ def test_a_settings_file_that_was_not_named_is_found_beside_the_keys(
 
 
 def test_what_is_started_by_hand_on_a_robot_reads_the_settings_of_its_services(place: Path) -> None:
-    """Where nobody names others, or none. Operators have nothing to do with them, nor has who asks a recorder."""
     file = place / "etc" / "cruiser.toml"
     assert [command for command in COMMANDS if settings_file(command, None, {})] == []
     file.parent.mkdir()
@@ -166,7 +158,6 @@ def test_what_is_started_by_hand_on_a_robot_reads_the_settings_of_its_services(p
 
 
 def test_nothing_is_said_to_whoever_stated_what_they_want(place: Path) -> None:
-    """A file, none, a mode, or for all but a gateway the place to connect to."""
     for name in ("robot.toml", "operator.toml"):
         (place / name).write_text("")
     assert unread_file("gateway", "robot.toml", {}, Settings()) == ""

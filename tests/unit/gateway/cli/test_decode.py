@@ -21,7 +21,6 @@ GEAR = "(1436509052.249713) vcan0 18C4D1EF#0104000000000005"
 
 
 def test_a_valid_frame_has_its_signals_under_the_field_names() -> None:
-    """Time, bus, identifier, name, and the signals as in the message: names with units, choices by name."""
     assert describe(DECODER, GEAR.encode(), 1) == {
         "time": 1436509052.249713,
         "time_ns": 1436509052249713000,
@@ -34,7 +33,6 @@ def test_a_valid_frame_has_its_signals_under_the_field_names() -> None:
 
 @pytest.mark.parametrize(("variant", "frame"), FRAMES, ids=[f"{v.value}-{f.name}" for v, f in FRAMES])
 def test_every_frame_of_either_variant_is_decoded(variant: Variant, frame: MessageLayout) -> None:
-    """Each frame has all its signals but the checksum, and feedback has the fields of its message."""
     sent = Encoder(frames.load(variant)).encode(frame.name, {}, alive_counter=5)
     record = describe(DECODERS[variant], f"(1.0) c {hex_identifier(sent.can_id)}#{sent.data.hex()}".encode(), 1)
     assert record is not None
@@ -58,7 +56,6 @@ def test_every_frame_of_either_variant_is_decoded(variant: Variant, frame: Messa
     ],
 )
 def test_a_frame_that_is_not_valid_has_its_fault(text: str, kind: str, name: str | None) -> None:
-    """The fault's kind stands where the signals would, and with the frame's name if it has one."""
     record = describe(DECODER, f"(1.0) can0 {text}".encode(), 1)
     assert record is not None
     assert record["fault"]["kind"] == kind
@@ -67,7 +64,6 @@ def test_a_frame_that_is_not_valid_has_its_fault(text: str, kind: str, name: str
 
 
 def test_a_line_that_is_not_candumps_says_which_line() -> None:
-    """The line's number and its beginning help to find it; a line far too long is not looked at."""
     assert describe(DECODER, b"junk\x1b[31m", 7) == {
         "line": 7,
         "fault": {"kind": "not_candump", "detail": "junk\\x1b[31m"},
@@ -80,7 +76,6 @@ def test_a_line_that_is_not_candumps_says_which_line() -> None:
 
 @given(raw=st.binary() | st.text("()0123456789. canRTX[]#_ABCDEF'\t").map(str.encode))
 def test_no_bytes_make_decoding_raise(raw: bytes) -> None:
-    """Any line gives a record that JSON can hold, or nothing if it is empty."""
     record = describe(DECODER, raw, 1)
     assert record is None or json.loads(json.dumps(record)) == record
 
@@ -105,7 +100,6 @@ TIME_NS = 1_436_509_052_249_713_000
     ],
 )
 def test_a_log_line_is_its_frame(text: str, frame: Frame) -> None:
-    """Data, remote, CAN FD and error frames of the log format are read with identifier, flags and data."""
     line = parse(f"{TIME}vcan0 {text}\r")
     assert line is not None
     assert line.bus == "vcan0"
@@ -125,7 +119,6 @@ def test_a_log_line_is_its_frame(text: str, frame: Frame) -> None:
     ],
 )
 def test_a_classic_line_is_its_frame(text: str, frame: Frame) -> None:
-    """The format that candump writes for people is read too; its time may be missing."""
     line = parse(text)
     assert line is not None
     assert (line.frame, line.time_ns) == (frame, None)
@@ -157,7 +150,6 @@ def test_a_classic_line_is_its_frame(text: str, frame: Frame) -> None:
     ],
 )
 def test_what_candump_would_not_write_is_no_line_of_it(text: str) -> None:
-    """Half bytes, too much data, identifiers out of range and missing parts are not read as something else."""
     assert parse(text) is None
 
 
@@ -167,7 +159,6 @@ def test_what_candump_would_not_write_is_no_line_of_it(text: str) -> None:
     time_ns=st.integers(0, 10**19 - 1),
 )
 def test_every_data_frame_is_read_back(can_id: int, data: bytes, time_ns: int) -> None:
-    """A frame written as candump writes it is the same frame again, and its time to the nanosecond."""
     word = f"{can_id & 0x1FFF_FFFF:08X}" if can_id & EXTENDED else f"{can_id:03X}"
     text = f"({time_ns // 10**9:010}.{time_ns % 10**9:09}) can0 {word}#{data.hex().upper()}"
     assert parse(text) == CandumpLine(Frame(can_id, data, time_ns), "can0", word, time_ns)

@@ -1,4 +1,4 @@
-"""Between Zenoh and the browsers: who gets what, and what goes out of what they say."""
+"""Between Zenoh and the browsers: what each browser gets, and what goes out."""
 
 import asyncio
 import threading
@@ -36,8 +36,6 @@ from tests.support.metrics import received
 
 
 class Scene:
-    """A hub, and what its browsers are told."""
-
     def __init__(self) -> None:
         self.listener, self.port = FakeDeskListener(), FakeCommandPort()
         self.stops: list[tuple[str, str]] = []
@@ -70,7 +68,6 @@ def told(browser: Browser, kind: type) -> list[Any]:
 
 
 def test_whoever_comes_is_told_all_and_then_what_changes() -> None:
-    """The names of things first; rows as they are; then only what has changed, or a sign of life."""
     scene = Scene()
     scene.step(STATE, HEALTH)
     browser = scene.hub.join()
@@ -89,7 +86,6 @@ def test_whoever_comes_is_told_all_and_then_what_changes() -> None:
 
 
 def test_what_has_waited_while_the_desk_hung_is_not_current() -> None:
-    """Neither in a row nor closely; an event is said all the same, and the next state is current."""
     scene = Scene()
     browser = scene.hub.join()
     scene.step(STATE, HEALTH)
@@ -104,7 +100,6 @@ def test_what_has_waited_while_the_desk_hung_is_not_current() -> None:
 
 
 def test_samples_go_to_whom_looks_at_their_robot() -> None:
-    """As they came, with their proofs; events of before at once; to nobody else."""
     scene = Scene()
     near, far = scene.hub.join(), scene.hub.join()
     scene.step(event(1), STATE)
@@ -122,7 +117,6 @@ def test_samples_go_to_whom_looks_at_their_robot() -> None:
 
 
 def test_what_is_signed_goes_out_as_it_is() -> None:
-    """A drive command, byte by byte, under the key that it names; a verb with the encoding of its table."""
     scene = Scene()
     browser = scene.hub.join()
     scene.say(
@@ -142,7 +136,6 @@ def test_what_is_signed_goes_out_as_it_is() -> None:
 
 
 def test_all_see_who_sees_to_an_alarm() -> None:
-    """In the robot's row."""
     scene = Scene()
     near, far = scene.hub.join(), scene.hub.join()
     scene.step(STATE, HEALTH)
@@ -155,7 +148,6 @@ def test_all_see_who_sees_to_an_alarm() -> None:
 
 
 def test_what_cannot_be_done_is_said() -> None:
-    """One line each, and nothing goes out: no verb, no message, too many questions, a robot that is not there."""
     scene = Scene()
     browser = scene.hub.join()
     scene.port.is_over = False
@@ -174,7 +166,6 @@ def test_what_cannot_be_done_is_said() -> None:
 
 @in_a_loop
 async def test_a_stop_that_fails_is_never_silent() -> None:
-    """Whatever goes wrong while its outcome is looked for."""
     scene = Scene()
 
     def fail(*_: object) -> StopReport:
@@ -192,7 +183,6 @@ async def test_a_stop_that_fails_is_never_silent() -> None:
 
 @in_a_loop
 async def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
-    """Each says it at once, without a proof; one thread looks what comes of it, however often it is said."""
     scene = Scene()
     hold = threading.Event()
 
@@ -218,7 +208,6 @@ async def test_who_stops_what_is_being_stopped_learns_the_same() -> None:
 
 @in_a_loop
 async def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() -> None:
-    """All are stopped; of those beyond the bound it is said that nobody looks what came of it."""
     scene = Scene()
     hold = threading.Event()
     scene.hub._stopper = lambda *_: StopReport([], {}, {}, [], linked=hold.wait(30))
@@ -233,7 +222,6 @@ async def test_a_browser_that_stops_too_many_is_told_that_it_learns_no_more() ->
 
 
 def test_the_last_minutes_are_put_together_seldom() -> None:
-    """Who looks here and there in a moment gets those of the robot at which it stays."""
     scene = Scene()
     scene.step(STATE)
     scene.listener.waiting += [received(STATE, "cruiser-2"), received(event(1), "cruiser-2")]
@@ -252,7 +240,7 @@ def test_the_last_minutes_are_put_together_seldom() -> None:
 
 
 def test_what_is_larger_than_a_gateway_says_is_passed_over() -> None:
-    """Else whoever publishes, or answers, under a robot's name would fill the memory of desk and browsers."""
+    """Otherwise samples under a robot's name could fill the memory of desk and browsers."""
     scene = Scene()
     browser = scene.hub.join()
     scene.say(browser, **{"is": "look", "robot": "cruiser-1"})
@@ -271,7 +259,6 @@ def test_what_is_larger_than_a_gateway_says_is_passed_over() -> None:
 
 
 def test_no_count_breaks_what_all_browsers_are_sent() -> None:
-    """A gateway, or a recorder, whose counts add up to more than a message can say."""
     scene = Scene()
     browser = scene.hub.join()
     most = 2**63 - 1
@@ -283,7 +270,6 @@ def test_no_count_breaks_what_all_browsers_are_sent() -> None:
 
 
 def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
-    """Those who are there, and whoever comes then; and told again when it is over."""
     scene = Scene()
     scene.step(STATE)
     browser = scene.hub.join()
@@ -302,7 +288,6 @@ def test_everybody_is_told_where_not_all_robots_are_shown() -> None:
 
 @pytest.mark.parametrize("seen", [(), (STATE, HEALTH)], ids=["no robot", "a robot"])
 def test_that_zenoh_is_gone_and_back_is_told_once(seen: tuple[Message, ...]) -> None:
-    """To everybody, also where no robot changes; robots are silent meanwhile."""
     scene = Scene()
     scene.step(*seen)
     browser = scene.hub.join()
@@ -319,7 +304,6 @@ def test_that_zenoh_is_gone_and_back_is_told_once(seen: tuple[Message, ...]) -> 
 
 @pytest.mark.parametrize("robot", ["*", "**", "c$*", "../x", "cruiser-1/x", "@adv"])
 def test_no_browser_asks_several_robots_at_once(robot: str) -> None:
-    """But by the stop of all: no pattern becomes a key."""
     scene = Scene()
     browser = scene.hub.join()
     for kind in ({"is": "drive"}, {"is": "ask", "number": 1, "verb": "engage"}):
@@ -347,7 +331,6 @@ class FakeSocket:
 
 @in_a_loop
 async def test_a_browser_that_cannot_be_sent_a_message_is_cut_off() -> None:
-    """So that its page says so: it would show what was for what is, and for ever."""
     hub = Scene().hub
     socket = FakeSocket()
     serving = asyncio.create_task(_serve(socket, hub))  # type: ignore[arg-type]
@@ -362,7 +345,6 @@ async def test_a_browser_that_cannot_be_sent_a_message_is_cut_off() -> None:
 
 @given(st.binary(max_size=200))
 def test_whatever_a_browser_sends_ends_nothing(data: bytes) -> None:
-    """It is told why; the others go on."""
     scene = Scene()
     browser = scene.hub.join()
     with suppress(RuntimeError):  # A stop wants a running loop.

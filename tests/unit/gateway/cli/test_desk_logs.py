@@ -1,4 +1,4 @@
-"""The logs of a directory, for browsers."""
+"""The desk's logs over HTTP."""
 
 import asyncio
 import json
@@ -22,7 +22,7 @@ HOST = "127.0.0.1:8081"
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What came back; the names of headers are in small letters."""
+    """A response; header names in lower case."""
 
     status: int
     headers: dict[str, str]
@@ -36,14 +36,12 @@ class Answer(msgspec.Struct, frozen=True):
 def ask(
     app: ASGIApp, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", body: bytes = b""
 ) -> Answer:
-    """Ask for a path, with its query, as a browser writes them."""
     return asyncio.run(asked(app, path, headers, method, body))
 
 
 async def asked(
     app: ASGIApp, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", body: bytes = b""
 ) -> Answer:
-    """The same, of a loop that runs."""
     said: list[Message] = []
     sent: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
 
@@ -88,7 +86,7 @@ def app(tmp_path: Path) -> Iterator[Starlette]:
 
 @pytest.fixture
 def answered(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """The questions that were asked; each is answered by what stands in ``ANSWERS``."""
+    """The questions that were asked; ``ANSWERS`` has the answers."""
     questions: list[list[str]] = []
 
     async def answer(words: list[str], *_: object) -> JobDone:
@@ -104,7 +102,7 @@ ANSWERS = {"find": JobDone(0, b'{"file": "a.mcap"}\n', "a note"), "why": JobDone
 
 @pytest.fixture
 def unreadable(monkeypatch: pytest.MonkeyPatch) -> set[Path]:
-    """What the desk's user may not read: root, who may run this, reads everything."""
+    """Paths that the desk's user may not read: root, who may run this, reads everything."""
     paths: set[Path] = set()
     access = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) not in paths and access(path, mode))
@@ -114,7 +112,6 @@ def unreadable(monkeypatch: pytest.MonkeyPatch) -> set[Path]:
 def test_a_directory_that_is_none_or_cannot_be_read_is_one_clear_line(
     tmp_path: Path, unreadable: set[Path]
 ) -> None:
-    """Which names it and the setting; and, where it is there, what is missing."""
     with pytest.raises(CommandError, match=r"logs is not a directory \(desk\.logs\)$"):
         DeskLogs.open(str(tmp_path / "logs"))
     unreadable.add(tmp_path)
@@ -123,7 +120,6 @@ def test_a_directory_that_is_none_or_cannot_be_read_is_one_clear_line(
 
 
 def test_a_log_that_cannot_be_read_says_so_in_one_line(tmp_path: Path, unreadable: set[Path]) -> None:
-    """Itself and its report; one that can is given out, and one that is not there is missing."""
     (tmp_path / LOG).write_bytes(b"log")
     with closing(DeskLogs.open(str(tmp_path))) as logs:
         app = Starlette(routes=logs.routes())
@@ -142,7 +138,7 @@ def test_what_becomes_a_link_while_it_is_asked_for_is_not_followed(
     monkeypatch: pytest.MonkeyPatch,
     is_link: bool,  # noqa: FBT001 - a parameter
 ) -> None:
-    """A recorder that was taken over could have the desk give out its own keys, or wait at a FIFO."""
+    """A compromised recorder could make the desk send its keys, or wait at a FIFO."""
     (tmp_path / "https.key").write_bytes(b"secret")
     log = tmp_path / LOG
     log.write_bytes(b"log")
@@ -178,7 +174,6 @@ def test_what_becomes_a_link_while_it_is_asked_for_is_not_followed(
 def test_nothing_but_the_logs_of_the_directory_is_given_out(
     app: Starlette, tmp_path: Path, kind: str, name: str
 ) -> None:
-    """Whatever a name says; nor what a link points to."""
     (tmp_path.parent / "secret.mcap").write_bytes(b"secret")
     for hidden in (".hidden.mcap", "catalog.parquet"):
         (tmp_path / hidden).write_bytes(b"secret")
@@ -191,7 +186,6 @@ def test_nothing_but_the_logs_of_the_directory_is_given_out(
 
 @pytest.mark.usefixtures("answered")
 def test_every_answer_keeps_other_pages_out(app: Starlette) -> None:
-    """Nothing is loaded from elsewhere, nothing is guessed; a request under another name is refused."""
     for path in ("/logs.html", "/find?search=stops", "/whys/a.mcap?at=1", "/logs/a.mcap", "/words.js"):
         answer = ask(app, path)
         assert answer.status == 200, path
@@ -202,14 +196,12 @@ def test_every_answer_keeps_other_pages_out(app: Starlette) -> None:
 
 
 def test_no_other_site_makes_it_work(app: Starlette, answered: list[list[str]]) -> None:
-    """A picture or a frame of another page would: questions take a processor."""
     for path in ("/reports/a.mcap", "/whys/a.mcap?at=1", "/find?search=stops"):
         assert ask(app, path, {"sec-fetch-site": "cross-site", "sec-fetch-dest": "image"}).status == 404
     assert answered == []
 
 
 def test_what_a_browser_says_is_never_an_option_of_its_own(app: Starlette, answered: list[list[str]]) -> None:
-    """A search is a word, all else the value of a flag, and bounded."""
     assert ask(app, "/find?search=--rebuild").status == 400
     assert ask(app, "/find").status == 400
     assert ask(app, f"/find?search=stops&robot=--json&catalog=/x&since={'9' * 999}").status == 200
@@ -232,7 +224,6 @@ def test_what_a_browser_says_is_never_an_option_of_its_own(app: Starlette, answe
 def test_a_search_says_what_goes_with_its_answer(
     app: Starlette, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: JobDone, status: int, said: object
 ) -> None:
-    """In its first line; the others are those of the process. A mistake is one plain line."""
     (tmp_path / "b.mcap.part").write_bytes(b"")
 
     async def answer(*_: object) -> JobDone:
@@ -256,7 +247,6 @@ def test_a_search_says_what_goes_with_its_answer(
 def test_two_questions_are_asked_at_a_time_and_the_line_has_an_end(
     app: Starlette, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of them is a search at most: each brings the catalog up to date. One too many is told so at once."""
     running: list[str] = []
     most: list[list[str]] = []
     gate = asyncio.Event()
@@ -286,8 +276,6 @@ def test_two_questions_are_asked_at_a_time_and_the_line_has_an_end(
 
 
 def test_a_question_at_the_end_of_the_desk_is_no_fault(app: Starlette, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The server ends it: a traceback would tell nobody anything."""
-
     async def never(*_: object) -> JobDone:
         await asyncio.Event().wait()
         raise AssertionError
@@ -306,7 +294,6 @@ def test_a_question_at_the_end_of_the_desk_is_no_fault(app: Starlette, monkeypat
 
 
 def test_a_viewer_reads_a_log_by_ranges_and_nothing_else(app: Starlette) -> None:
-    """With the headers that Foxglove and Lichtblick look at; pages of other sites see none of it."""
     part = ask(app, "/logs/a.mcap", {"origin": FOXGLOVE, "range": "bytes=2-4"})
     assert (part.status, part.body, part.headers["content-range"]) == (206, b"234", "bytes 2-4/10")
     assert part.headers["access-control-allow-origin"] == FOXGLOVE
@@ -335,7 +322,6 @@ def test_a_viewer_reads_a_log_by_ranges_and_nothing_else(app: Starlette) -> None
     ],
 )
 def test_the_origin_is_as_browsers_write_it(url: str, origin: str) -> None:
-    """Small letters, and no port where it is the usual one: else the viewer would be refused."""
     assert viewer(url).origin == origin
 
 
@@ -343,6 +329,5 @@ def test_the_origin_is_as_browsers_write_it(url: str, origin: str) -> None:
     "url", ["", "app.foxglove.dev", "javascript:alert(1)", "file:///etc", "https://a:b", "https://u@h/"]
 )
 def test_what_is_no_page_is_refused(url: str) -> None:
-    """Above all what would be a script in a link."""
     with pytest.raises(CommandError, match=r"desk\.viewers: .* not the address of a viewer"):
         viewer(url)

@@ -1,4 +1,4 @@
-"""``cruiser doctor``: whom it asks, and what it prints."""
+"""``cruiser doctor``: which nodes it asks, and what it prints."""
 
 import argparse
 import json
@@ -30,7 +30,6 @@ FACTS = Facts(Settings(), "0.1.0", 0.0)
 def test_a_line_a_finding_and_last_that_all_is_well(
     found: list[Diagnosis], code: ExitCode, printed: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A note changes neither exit code nor last line; as JSON it is the same. The settings' sum comes before."""
     assert doctor.report(FACTS, found, as_json=False) is code
     lines = capsys.readouterr().out.splitlines()
     assert lines[1 if found else 0 :][:5] == reach(FACTS).lines
@@ -45,7 +44,6 @@ def test_a_line_a_finding_and_last_that_all_is_well(
 
 
 def test_a_gateway_is_asked_where_it_listens() -> None:
-    """On all addresses is on this machine's own; who connects elsewhere is asked there."""
     listening = ZenohSettings(listen=["tcp/0.0.0.0:7450", "tcp/[::]:7451", "tcp/10.0.0.7:7452"])
     asking = doctor.settings_to_ask(Settings(zenoh=listening))
     assert asking.connect == ["tcp/127.0.0.1:7450", "tcp/[::1]:7451", "tcp/10.0.0.7:7452"]
@@ -55,7 +53,6 @@ def test_a_gateway_is_asked_where_it_listens() -> None:
 
 
 def test_a_robots_own_certificate_sees_nothing_so_another_is_asked_with(tmp_path: Path) -> None:
-    """That of the recorder beside it, or of a viewer in the same directory; else its own."""
     own = tmp_path / "gateway/robot.json5"
     settings = Settings(zenoh=ZenohSettings(config=str(own)))
     assert doctor.settings_to_ask(settings).config == str(own)
@@ -80,7 +77,6 @@ def _network(tmp_path: Path) -> Network:
 def test_settings_of_somebody_who_is_no_robot_are_refused_with_what_to_use(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, role: str
 ) -> None:
-    """Findings and cures would be a robot's. Beside a robot's key, or named by a flag, they are asked with."""
     monkeypatch.setattr(doctor, "look", lambda *_, **__: FACTS)
     place = _network(tmp_path).node(TransportRole(role), "ann")
     zenoh = ZenohSettings(config=str(place / f"{role}.json5"))

@@ -1,4 +1,4 @@
-"""Hold to move: the motion that a terminal asks for, and what a person sees."""
+"""Hold to move: the motion that a terminal asks for, and the screen."""
 
 import pytest
 from hypothesis import example, given
@@ -37,12 +37,11 @@ SPOKEN = {
     b"\x1b[O": "",
     b"\x1b[119;1:1u": "",
 }
-"""What terminals send; with the last ones nothing was asked for, and they are no keys that drive."""
+"""Bytes of terminals; the last ones come unasked, and are no keys that drive."""
 
 
 @given(spoken=st.lists(st.sampled_from(sorted(SPOKEN)), max_size=6), data=st.data())
 def test_what_a_terminal_sends_is_understood_however_it_is_cut(spoken: list[bytes], data: st.DataObject) -> None:
-    """Each sequence is one key, in order, in whatever pieces it is read."""
     stream = b"".join(spoken)
     decoder = KeyDecoder()
     keys: list[str] = []
@@ -56,7 +55,6 @@ def test_what_a_terminal_sends_is_understood_however_it_is_cut(spoken: list[byte
 @given(pieces=st.lists(st.binary(max_size=200)))
 @example(pieces=[b"\x1b[" + b"1" * 100])
 def test_no_bytes_make_the_decoder_raise(pieces: list[bytes]) -> None:
-    """Whatever comes is keys, and little of it is kept."""
     decoder = KeyDecoder()
     for piece in pieces:
         decoder.feed(piece)
@@ -64,7 +62,6 @@ def test_no_bytes_make_the_decoder_raise(pieces: list[bytes]) -> None:
 
 
 def test_what_begins_a_sequence_and_does_not_go_on_is_a_key() -> None:
-    """Escape alone stops."""
     decoder = KeyDecoder()
     assert decoder.feed(b"\x1b") == []
     assert decoder.feed(b"") == [""]
@@ -96,7 +93,7 @@ TYPED: dict[str, tuple[Reads, int, Wish]] = {
 
 @pytest.mark.parametrize("name", TYPED)
 def test_the_motion_asked_for_is_that_of_the_held_key(name: str) -> None:
-    """Each read has a time in ms and its keys; the wish is that of a time."""
+    """Reads have a time in ms and keys."""
     reads, at_ms, wish = TYPED[name]
     keys = HeldKeys()
     for read_ms, read in reads:
@@ -106,7 +103,6 @@ def test_the_motion_asked_for_is_that_of_the_held_key(name: str) -> None:
 
 @pytest.mark.parametrize(("key", "wish"), [*BINDINGS.items()])
 def test_every_key_drives_by_itself_and_ends_as_soon(key: str, wish: Wish) -> None:
-    """Also one that asks for speed and angle: such a terminal repeats one key alone."""
     keys = HeldKeys()
     keys.receive([key], START_NS)
     assert keys.wish(START_NS) == NOTHING
@@ -117,7 +113,6 @@ def test_every_key_drives_by_itself_and_ends_as_soon(key: str, wish: Wish) -> No
 
 
 def test_keys_that_do_not_drive_are_told() -> None:
-    """In their order."""
     assert HeldKeys().receive(["g", "w", "x"], START_NS) == ["g", "x"]
 
 
@@ -134,7 +129,6 @@ OTHER_KEYS = {"+", "-", "g", "r", "x", "q"}  # what these do: tests/system/gatew
 
 
 def test_the_keys_that_are_shown_exist_and_all_of_them_are_shown() -> None:
-    """Whoever drives by what is shown is not surprised."""
     shown = drawn(panel(COCKPIT)).split("hold to move", 1)[1]
     letters = {word.strip(",;:") for word in shown.split() if len(word.strip(",;:")) == 1} - {"│", "╰", "a"}
     named = {key for key in BINDINGS if len(key) == 1} | OTHER_KEYS

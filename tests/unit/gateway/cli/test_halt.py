@@ -17,7 +17,7 @@ TICK_NS = 10 * MS
 
 
 class CommandedBus:
-    """A bus on a clock of its own. Others send a burst each tick of given times, and no chassis answers."""
+    """A bus with its own clock. Others send a burst each tick at given times, and no chassis answers."""
 
     drops = 0
 
@@ -32,7 +32,6 @@ class CommandedBus:
         return self.now_ns
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame in time, if one comes."""
         end_ns = self.now_ns + round(timeout_s * 1e9)
         if not self._waiting and self._due_ns and self._due_ns[0] <= end_ns:
             self.now_ns = max(self.now_ns, self._due_ns.pop(0))
@@ -46,15 +45,14 @@ class CommandedBus:
     def send(self, _frame: Frame) -> None:
         self.sent_ns.append(self.now_ns)
 
-    def close(self) -> None:
-        """Nothing to close."""
+    def close(self) -> None: ...
 
 
 @pytest.mark.parametrize("gap_ms", [90, 110, 200, 290])
 def test_a_guard_that_begins_late_is_waited_for(
     gap_ms: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It begins when its gateway was silent for 80 ms, on a busy machine later. Nobody sends beside it."""
+    """It begins when its gateway was silent for 80 ms, on a busy machine later."""
     monkeypatch.setenv("CRUISER_GATEWAY_STATE_DIR", str(tmp_path))
     end_ms = 500 + gap_ms + 2_000
     bus = CommandedBus((0, 500), (490 + gap_ms, end_ms))

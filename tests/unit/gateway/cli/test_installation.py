@@ -1,4 +1,4 @@
-"""What ``cruiser setup`` writes and runs."""
+"""The files that ``cruiser setup`` writes, and the programs that it runs."""
 
 import re
 import tomllib
@@ -24,7 +24,7 @@ from schemas.configuration import TomlSource, merge
 from schemas.settings import Settings
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
-"""Files that the package brings; those below ``etc`` stand as they do on a robot."""
+"""Files of the package; those below ``etc`` stand as they do on a robot."""
 
 ROBOT = Answers("depot-3", "", "socketcan", "can1", 250_000, free_bytes=100_000_000_000)
 SIGNED = msgspec.structs.replace(ROBOT, root="fleet", keys=frozenset({"gateway", "recorder", "router"}))
@@ -37,7 +37,6 @@ def settings(text: str) -> Settings:
 
 
 def test_the_settings_are_those_of_before_but_for_what_was_answered() -> None:
-    """What somebody has set by hand stays; a second time nothing changes."""
     before = '[command]\nspeed_limit_mps = 0.5\n[can]\nchannel = "can0"\noptions = {fd = true}\n'
     text = configuration(ROBOT, tomllib.loads(before))
     found = settings(text)
@@ -49,7 +48,6 @@ def test_the_settings_are_those_of_before_but_for_what_was_answered() -> None:
 
 
 def test_logs_take_no_more_than_a_small_disk_has() -> None:
-    """A budget that somebody set stays."""
     small = msgspec.structs.replace(ROBOT, free_bytes=10_000_000_000)
     assert settings(configuration(small, {})).recorder.budget_bytes == 7_000_000_000
     kept = settings(configuration(small, {"recorder": {"budget_bytes": 5}}))
@@ -57,7 +55,6 @@ def test_logs_take_no_more_than_a_small_disk_has() -> None:
 
 
 def test_a_robot_with_keys_is_in_signed_mode_and_dials_the_routers_of_its_file() -> None:
-    """An endpoint of before would hold against the file, so it goes; the recorder reads its own."""
     found = settings(configuration(SIGNED, {"zenoh": {"connect": ["tcp/10.0.0.5:7447"]}}))
     assert (found.authority.mode, found.authority.directory) == ("signed", "/etc/cruiser/gateway")
     assert (found.zenoh.config, found.zenoh.connect) == ("/etc/cruiser/gateway/robot.json5", [])
@@ -68,7 +65,6 @@ def test_a_robot_with_keys_is_in_signed_mode_and_dials_the_routers_of_its_file()
 
 
 def test_the_bit_rate_is_the_kernels_through_networkd() -> None:
-    """A drop-in where there is a file already, else the whole; nothing for a bus that has no bit rate."""
     files = system_files(ROBOT)
     network = files["/etc/systemd/network/80-cruiser-can1.network"]
     assert "Name=can1" in network
@@ -82,14 +78,13 @@ def test_the_bit_rate_is_the_kernels_through_networkd() -> None:
 
 
 def parts(text: str) -> dict[str, dict[str, str]]:
-    """A file of systemd's, without its comments; bit rates as numbers."""
+    """Parse a file of systemd's; bit rates as numbers."""
     file = ConfigParser(delimiters=["="], interpolation=None)
     file.read_string(re.sub(r"(BitRate=\d+)K", r"\g<1>000", text))
     return {name: dict(file[name]) for name in file.sections()}
 
 
 def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
-    """So that a computer without the package gets the same; it runs the services that the package has."""
     usual = Answers("cruiser-1", "", "socketcan", "can0", 500_000, keys=frozenset(SERVICES))
     written = {name: text for name, text in system_files(usual).items() if "can0" in name or "bus.conf" in name}
     assert len(written) == 3
@@ -101,7 +96,6 @@ def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
 
 
 def test_the_gateway_comes_and_goes_with_its_interface() -> None:
-    """And with the boot where the bus is none of the kernel's."""
     place = "/etc/systemd/system/cruiser-gateway.service.d/bus.conf"
     assert "BindsTo=sys-subsystem-net-devices-can1.device" in system_files(ROBOT)[place]
     assert "WantedBy=multi-user.target" in system_files(ELSEWHERE)[place]
@@ -117,11 +111,9 @@ def test_the_gateway_comes_and_goes_with_its_interface() -> None:
     ],
 )
 def test_what_can_run_is_started_the_router_first(answers: Answers, services: list[str]) -> None:
-    """In signed mode a recorder without a certificate reaches nobody, and is not started."""
     started = [program[-1] for program in start_services(answers) if program[1] == "restart"]
     assert started == [f"cruiser-{name}.service" for name in services]
 
 
 def test_what_setup_refuses_and_waits_for_are_findings_of_doctor() -> None:
-    """A finding that is renamed would be refused no more."""
     assert {*NOBODY_DRIVES, *PENDING} <= {check.name for check in CHECKS}

@@ -1,4 +1,4 @@
-"""``cruiser list`` and ``watch``: whose settings they are given, and when a view is drawn."""
+"""``cruiser list`` and ``watch``: refused settings, and when a view is drawn."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +20,6 @@ from tests.support.secured import Network
 def test_settings_with_which_no_robot_is_seen_are_named_with_what_to_use(
     tmp_path: Path, role: TransportRole
 ) -> None:
-    """That none is connected would be wrong. A file without certificates says nothing of its user."""
     config = Network(tmp_path, "tls/127.0.0.1:47447").node(role, "somebody") / f"{role.value}.json5"
     if role is TransportRole.VIEWER:
         check_role(str(config))
@@ -33,7 +32,7 @@ def test_settings_with_which_no_robot_is_seen_are_named_with_what_to_use(
 
 
 class FakeClock:
-    """Time that passes by sleeping alone, and at the will of the test."""
+    """Time that passes only by sleeping."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -60,7 +59,6 @@ class SilentListener(RobotListener):
 
 
 def test_a_pause_is_one_line_not_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After Ctrl-Z and fg a minute later one line says how it is now; then they come each second again."""
     clock = FakeClock()
     monkeypatch.setattr(watch_command, "time", clock)
     shown_s: list[float] = []

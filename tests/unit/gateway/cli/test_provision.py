@@ -1,4 +1,4 @@
-"""``cruiser provision``: who is let in, what is written, and one clear line for all that is wrong."""
+"""``cruiser provision``: who gets in, what is written, and one clear line for everything wrong."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ DAY_S = 86_400
 
 @pytest.fixture
 def fleet(tmp_path: Path) -> ProvisionedFleet:
-    """A standby and an authority, which has let nobody in."""
+    """A standby and an authority that has signed nothing."""
     return ProvisionedFleet(tmp_path)
 
 
 @pytest.fixture(autouse=True)
 def _home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing outside of the test's own directory is touched."""
+    """Touch nothing outside of the test's directory."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
 def refused(*words: str | Path) -> str:
-    """The line with which it ends."""
+    """Return the line with which it ends."""
     with pytest.raises(CommandError) as caught:
         run(*words)
     assert caught.value.code in {ExitCode.USAGE, ExitCode.FAILURE}
@@ -59,7 +59,7 @@ def refused(*words: str | Path) -> str:
 
 
 def revoked(fleet: ProvisionedFleet, *words: str | Path) -> Signed:
-    """The newest list of revocations, after this."""
+    """Return the newest list of revocations, after this."""
     run("revoke", *words, "--directory", fleet.authority)
     return chain(fleet.place / "revocations.statement")[0]
 
@@ -70,7 +70,7 @@ def said(signed: Signed) -> Revocations:
 
 
 def judged(trust: Trust | Objection, directory: Path) -> HeldGrant | Objection:
-    """What a robot of this trust makes of an operator's grant."""
+    """Judge an operator's grant as a robot of this trust does."""
     assert isinstance(trust, Trust)
     return trust.judge(chain(directory / "operator.grant"), int(time.time()))
 
@@ -79,7 +79,6 @@ def judged(trust: Trust | Objection, directory: Path) -> HeldGrant | Objection:
 
 
 def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFleet) -> None:
-    """What the gateway and an operator's commands read is what was installed."""
     robot, ann = fleet.let_in("robot", "cruiser-1"), fleet.let_in("operator", "ann", "--speed-limit", "0.8")
     identity = read_identity(robot, "robot")
     held = identity.trust.judge(identity.chain, int(time.time()))
@@ -95,7 +94,7 @@ def test_a_robot_and_a_person_hold_grants_of_the_authority(fleet: ProvisionedFle
 
 
 def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
-    """Files 0600, directories 0700. Others may read what travels or is copied, in which not a private key."""
+    """Files 0600, directories 0700. What travels or is copied is readable, and has no private key."""
     for role, name in (("robot", "cruiser-1"), ("operator", "ann"), ("router", "127.0.0.1")):
         fleet.let_in(role, name)
     directories = [path for path in fleet.place.iterdir() if path.is_dir() and path.name != "config"]
@@ -114,7 +113,6 @@ def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet) -> None:
-    """Name, signed mode, directory, Zenoh file; a viewer signs nothing, and believes what robots sign."""
     robot, hall = fleet.let_in("robot", "cruiser-1"), fleet.let_in("viewer", "hall")
     settings = tomllib.loads((robot / "robot.toml").read_text())
     assert settings == {
@@ -133,7 +131,6 @@ def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet)
 
 
 def test_settings_that_somebody_added_to_stay(fleet: ProvisionedFleet) -> None:
-    """A renewal replaces certificates and grants, and no settings."""
     robot = fleet.let_in("robot", "cruiser-1")
     file = robot / "robot.toml"
     file.write_text(file.read_text() + '\n[can]\nchannel = "can1"\n')
@@ -143,7 +140,6 @@ def test_settings_that_somebody_added_to_stay(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_router_listens_where_the_fleet_finds_it(fleet: ProvisionedFleet) -> None:
-    """On the loopback where that is its address, on all addresses for a name; for no other host."""
     router = fleet.let_in("router", "127.0.0.1")
     assert json.loads((router / "router.json5").read_text())["listen"]["endpoints"] == [ENDPOINT]
     bundle = fleet.sign(fleet.request("router", "other.example"))
@@ -156,7 +152,6 @@ def test_a_router_listens_where_the_fleet_finds_it(fleet: ProvisionedFleet) -> N
 
 
 def test_the_authoritys_keys_are_under_a_passphrase(tmp_path: Path) -> None:
-    """Without one they open nothing; without a terminal and a file there is none."""
     secret = tmp_path / "secret"
     secret.write_text("correct horse\n")
     key = ("--passphrase-file", secret)
@@ -181,7 +176,6 @@ def test_the_authoritys_keys_are_under_a_passphrase(tmp_path: Path) -> None:
 
 
 def test_what_is_said_is_granted(fleet: ProvisionedFleet) -> None:
-    """Robots, verbs, role, override, speed limit, life."""
     fleet.let_in(
         *("operator", "ann", "--robots", "depot-*", "--robots", "hall-1", "--verbs", "acquire,drive"),
         *("--role", "supervisor", "--override", "--speed-limit", "0.5", "--hours", "2"),
@@ -198,7 +192,6 @@ def test_what_is_said_is_granted(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_renewal_grants_the_same_again(fleet: ProvisionedFleet) -> None:
-    """Unless something else is said. The key stays, the grant is another."""
     ann = fleet.let_in("operator", "ann", "--verbs", "acquire,drive", "--speed-limit", "0.5")
     before = fleet.grant("ann")
     run("renew", "operator", "--directory", ann, "-o", "again.request")
@@ -213,7 +206,6 @@ def test_a_renewal_grants_the_same_again(fleet: ProvisionedFleet) -> None:
 def test_who_is_not_known_here_is_not_let_in_without_limits_in_silence(
     fleet: ProvisionedFleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """After a rotation a new authority knows nobody's limits: it says so, unless they are given or it has them."""
     ann = fleet.let_in("operator", "ann", "--speed-limit", "0.5")
     assert capsys.readouterr().err == ""
     run("renew", "operator", "--directory", ann, "-o", "again.request")
@@ -233,7 +225,6 @@ def test_who_is_not_known_here_is_not_let_in_without_limits_in_silence(
 
 @pytest.mark.parametrize("content", [None, "damaged"])
 def test_a_grant_that_is_lost_is_asked_for_again(fleet: ProvisionedFleet, content: str | None) -> None:
-    """The certificate knows the name as well."""
     ann = fleet.let_in("operator", "ann", "--speed-limit", "0.5")
     grant = ann / "operator.grant"
     grant.unlink() if content is None else grant.write_text(content)
@@ -245,7 +236,7 @@ def test_a_grant_that_is_lost_is_asked_for_again(fleet: ProvisionedFleet, conten
 def test_a_name_that_has_a_key_gets_no_other_in_silence(
     fleet: ProvisionedFleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor a key another name: who carries a request may have put it there. One that was revoked is nobody's."""
+    """Nor a key another name: the request may have been replaced on its way. A revoked one is free."""
     authority = ("--directory", fleet.authority)
     for role, name in (("operator", "ann"), ("robot", "cruiser-1"), ("viewer", "hall"), ("router", "one")):
         fleet.sign(fleet.request(role, name))
@@ -268,7 +259,6 @@ def test_a_name_that_has_a_key_gets_no_other_in_silence(
 
 @pytest.mark.parametrize("change", [lambda key: f"{key}\n", str.upper])
 def test_a_key_is_the_same_however_it_is_written(fleet: ProvisionedFleet, change: Callable[[str], str]) -> None:
-    """One that is limited, or revoked, is so with a line end behind it: keys are compared as bytes."""
     run("sign", fleet.request("operator", "ann"), "--directory", fleet.authority, "--robots", "cruiser-1")
     request = read_request((fleet.place / "operator-ann.request").read_bytes())
     issuer, other = (
@@ -286,7 +276,6 @@ def test_a_key_is_the_same_however_it_is_written(fleet: ProvisionedFleet, change
 def test_who_carries_the_files_of_an_authority_changes_no_key_in_them_unseen(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """That of a standby is shown where it is taken over, and both of a new authority where it is rotated to."""
     fleet = ProvisionedFleet(tmp_path)
     shown = keys_fingerprint(Issuer.open(KeyStore(fleet.authority)).authority)
     standby = key_fingerprint((fleet.place / "standby" / "standby.pub").read_text().strip())
@@ -306,7 +295,6 @@ def test_who_carries_the_files_of_an_authority_changes_no_key_in_them_unseen(
 
 
 def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> None:
-    """Its serial rises, also where the clock was set back, and the robots take it over."""
     ann, bea = fleet.let_in("operator", "ann"), fleet.let_in("operator", "bea")
     first, second = revoked(fleet, "ann"), revoked(fleet, "bea", "--replace")
     assert said(second).serial > said(first).serial
@@ -321,7 +309,6 @@ def test_a_list_of_revocations_holds_all_of_before(fleet: ProvisionedFleet) -> N
 
 
 def test_a_revoked_key_is_let_in_nowhere(fleet: ProvisionedFleet) -> None:
-    """No robot would take the grant: the list is named, and what makes a new key. The new key is let in."""
     ann = fleet.let_in("operator", "ann")
     newest = said(revoked(fleet, "ann"))
     run("renew", "operator", "--directory", ann, "-o", "again.request")
@@ -338,10 +325,7 @@ def test_a_revoked_key_is_let_in_nowhere(fleet: ProvisionedFleet) -> None:
 def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
     fleet: ProvisionedFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is kept beside the key, in the last list, and never below the time: one of the three is enough.
-
-    Without the last list only a new epoch makes another: a list that lacks what was revoked would lift it.
-    """
+    """Without the last list only a new epoch makes another: it would lift the former revocations."""
     fleet.let_in("operator", "ann")
     serials: list[int] = []
     for forget in ("", "serials.json", "revocations.statement"):
@@ -357,7 +341,6 @@ def test_a_serial_survives_a_lost_file_and_a_clock_set_back(
 
 
 def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None:
-    """A new epoch ends all grants of before, and with them the need to list them."""
     many = [word for number in range(300) for word in ("--public-key", f"{number:064x}")]
     revoked(fleet, *many[:200])
     with pytest.raises(CommandError, match="longer than robots accept"):
@@ -367,7 +350,7 @@ def test_a_list_is_no_longer_than_a_robot_takes(fleet: ProvisionedFleet) -> None
 
 
 def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(fleet: ProvisionedFleet) -> None:
-    """Only --replace with the fingerprint says it: whoever carries a renewal may bring another authority."""
+    """By --replace and the fingerprint: the renewal may have been replaced on its way."""
     robot = fleet.let_in("robot", "cruiser-1")
     run("renew", "robot", "--directory", robot, "-o", "again.request")
     again = fleet.sign(fleet.place / "again.request")
@@ -389,7 +372,6 @@ def test_a_machine_changes_over_to_another_authority_only_when_it_is_said(fleet:
 
 
 def test_nothing_is_written_over(fleet: ProvisionedFleet) -> None:
-    """Standby, authority, requests, bundles, statements, what is installed: each says what is there."""
     ann = fleet.let_in("operator", "ann")
     request, bundle = fleet.place / "operator-ann.request", fleet.place / "operator-ann.bundle"
     authority = ("--directory", fleet.authority)
@@ -410,7 +392,6 @@ def test_nothing_is_written_over(fleet: ProvisionedFleet) -> None:
 
 
 def test_what_cannot_be_written_is_seen_before_keys_are_made(fleet: ProvisionedFleet) -> None:
-    """And before anything is signed, numbered or written down."""
     nowhere = fleet.place / "no" / "file"
     assert "cannot be written" in refused("operator", "ann", "--directory", fleet.place / "ann", "-o", nowhere)
     assert not (fleet.place / "ann").exists()
@@ -425,7 +406,6 @@ def test_what_cannot_be_written_is_seen_before_keys_are_made(fleet: ProvisionedF
 
 
 def test_nothing_is_written_through_a_link(fleet: ProvisionedFleet, tmp_path: Path) -> None:
-    """Who may write beside it leads no key elsewhere."""
     victim = tmp_path / "victim"
     victim.write_text("mine")
     (tmp_path / "link.request").symlink_to(victim)
@@ -438,7 +418,6 @@ def test_nothing_is_written_through_a_link(fleet: ProvisionedFleet, tmp_path: Pa
 
 
 def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
-    """And the fingerprint of another: nothing is signed. Each field, see test_enrolment."""
     file = fleet.request("robot", "cruiser-1")
     changed, sign = fleet.place / "changed.request", ("--directory", fleet.authority)
     for one in ({"names": ["cruiser-2"]}, {"more": 1}):
@@ -452,7 +431,7 @@ def test_a_changed_request_is_refused(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_request_without_a_grant_is_held_against_its_certificates(fleet: ProvisionedFleet) -> None:
-    """A viewer has no key but that of the certificate: role and name stand under it."""
+    """A viewer's only key is that of its certificate."""
     file = fleet.request("viewer", "hall")
     request, tls = read_request(file.read_bytes()), KeyStore(fleet.place / "hall").p256("viewer-tls.key", "")
     changes: list[dict[str, object]] = [
@@ -469,7 +448,6 @@ def test_a_request_without_a_grant_is_held_against_its_certificates(fleet: Provi
 
 
 def test_a_bundle_is_held_against_both_keys(fleet: ProvisionedFleet) -> None:
-    """A certificate for these keys with a grant for others, and the other way, is refused."""
     authority = read_key(fleet.authority / "authority.key")
     mine = fleet.sign(fleet.request("operator", "ann"))
     run("operator", "ann", "--directory", fleet.place / "other", "-o", fleet.place / "other.request")
@@ -484,14 +462,12 @@ def test_a_bundle_is_held_against_both_keys(fleet: ProvisionedFleet) -> None:
 
 
 def read_key(file: Path) -> Ed25519PrivateKey:
-    """A key without a passphrase."""
     key = load_pem_private_key(file.read_bytes(), None)
     assert isinstance(key, Ed25519PrivateKey)
     return key
 
 
 def test_a_bundle_for_other_keys_is_refused(fleet: ProvisionedFleet) -> None:
-    """Swapped between two robots, or come after the keys were made anew."""
     one, two = fleet.request("robot", "cruiser-1"), fleet.request("robot", "cruiser-2")
     fleet.sign(two)
     bundle = fleet.sign(one)
@@ -507,7 +483,6 @@ def test_a_bundle_for_other_keys_is_refused(fleet: ProvisionedFleet) -> None:
 
 
 def test_a_key_that_others_may_read_is_refused(fleet: ProvisionedFleet) -> None:
-    """As is a directory that others may write to, a damaged key, and one of another kind."""
     robot = fleet.let_in("robot", "cruiser-1")
     again = ("renew", "robot", "--directory", robot, "-o", "again.request")
     key = robot / "robot.key"
@@ -527,14 +502,12 @@ def test_a_key_that_others_may_read_is_refused(fleet: ProvisionedFleet) -> None:
 
 @pytest.mark.parametrize("name", ["serials.json", "authority.json", "fleet.json", "ca.pem", "issued.jsonl"])
 def test_a_damaged_file_of_the_authority_is_named(fleet: ProvisionedFleet, name: str) -> None:
-    """Nothing is signed with numbers that may have been given, nor under an unknown certificate."""
     request = fleet.request("operator", "ann")
     (fleet.place / "authority" / name).write_text("damaged")
     assert name in refused("sign", request, "--directory", fleet.authority)
 
 
 def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -> None:
-    """A speed limit on a viewer would protect nobody."""
     request = fleet.request("viewer", "hall")
     text = refused("sign", request, "--directory", fleet.authority, "--speed-limit", "1", "--override")
     assert text == "--override, --speed-limit: not for a viewer"
@@ -544,11 +517,7 @@ def test_flags_that_a_role_has_no_use_for_are_refused(fleet: ProvisionedFleet) -
 
 
 class FakePort:
-    """Where a robot's authority answers at once, without a network.
-
-    Attributes:
-        kept: the question that it answers in place of any other.
-    """
+    """A robot's authority that answers at once; ``kept`` is answered in place of any other question."""
 
     def __init__(self, fleet: Fleet) -> None:
         self.bench = AuthorityBench(fleet)
@@ -573,7 +542,7 @@ class FakePort:
 
 @pytest.fixture
 def port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakePort:
-    """A robot of a fleet whose authority is known in the directory of ann."""
+    """A robot of a fleet whose authority is known in ann's directory."""
     found = FakePort(Fleet())
     write_authority(tmp_path / "ann", found.bench.fleet)
     monkeypatch.setattr(StatementPort, "open", lambda _: found)
@@ -582,14 +551,13 @@ def port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakePort:
 
 
 def shown(text: str, *robots: str) -> int:
-    """The exit code, after these robots, or all, were shown a statement."""
+    """Return the exit code after these robots, or all, were sent a statement."""
     (file := Path("one.statement")).write_text(text)
     whom = [word for robot in robots for word in ("--robot", robot)] or ["--all"]
     return run("show", file, *whom, "--directory", "ann")
 
 
 def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pytest.CaptureFixture[str]) -> None:
-    """Taken over; known already; refused, with the cure; no answer: each with its exit code."""
     fleet = port.bench.fleet
     ann = fleet.operator()
     revoked = fleet.authority.revoke(1, keys=(ann.key,)).text()
@@ -610,7 +578,7 @@ def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pyte
 
 
 def test_an_answer_of_before_is_not_believed(port: FakePort, capsys: pytest.CaptureFixture[str]) -> None:
-    """Else whoever keeps a revocation from a robot would let it seem to have it."""
+    """Otherwise an attacker who withholds a revocation could make the robot seem to have it."""
     port.kept = b"asked yesterday."
     assert shown(port.bench.fleet.authority.revoke(1).text()) == ExitCode.FAILURE
     assert capsys.readouterr().out.startswith("cruiser-1: accepted, but the reply is not verified")

@@ -23,7 +23,6 @@ from schemas.zenoh_session import SessionError
 def test_what_no_other_attempt_cures_is_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, error: CommandError
 ) -> None:
-    """Under a service manager, too."""
     told: list[str] = []
     manager = SimpleNamespace(alive=told.append, close=lambda: None)
     monkeypatch.setattr(shut_out, "ServiceManager", SimpleNamespace(of=lambda _: manager))

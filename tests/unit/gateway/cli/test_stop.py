@@ -66,7 +66,6 @@ ROWS: dict[str, tuple[StopReport, ExitCode, str]] = {
 def test_what_came_of_a_stop_is_said_and_is_the_code(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Only a robot that stands is on stdout."""
     came, code, said = ROWS[name]
 
     def stop_from_here(*_: object, told: Callable[[StopReport], None], **__: object) -> StopReport:
@@ -85,7 +84,6 @@ def test_what_came_of_a_stop_is_said_and_is_the_code(
 def test_events_are_dated_by_the_robots_clock(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It need not be that of the machine on which somebody asks."""
     state = msgspec.structs.replace(STANDBY, time_ns=WALL_NS + 3 * SECOND)
     robot = SimpleNamespace(
         name=ROBOT, state=lambda: Sighting(state, 0.5, None, HEALTH), events=lambda: [safety_event(EventKind.STOP)]

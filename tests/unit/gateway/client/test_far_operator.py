@@ -1,4 +1,4 @@
-"""Row 'travel delay': a robot behind a bad link, driven by the library's own stream, in simulated time."""
+"""Row 'travel delay': a robot behind a bad link, driven by the library's stream, in simulated time."""
 
 import pytest
 
@@ -14,7 +14,7 @@ BY_DAY = ("Wi-Fi", "LTE bad")  # a link that stalls often, and one that loses mu
 
 
 def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
-    """The goal: 30 % jitter, 1 % loss, 0.5 m/s asked: 95 % of the time at speed. tests/nightly has ten minutes."""
+    """Goal: 30 % jitter, 1 % loss, 0.5 m/s: 95 % of the time at speed. tests/nightly has ten minutes."""
     made = trip(FAR, speed_mps=0.5, seconds=30)
     assert made.moving >= 0.95
     assert made.stops == []
@@ -27,10 +27,7 @@ def test_over_200_ms_one_way_it_hardly_ever_stops() -> None:
     ids=lambda profile: profile.name,
 )
 def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> None:
-    """With the deadman that it needs; and a cut costs no more than the travel delay and the way to rest.
-
-    One late command lowers the limit for 300 ms, and then the robot only speeds up again.
-    """
+    """One late command lowers the limit for 300 ms, and then the robot only speeds up again."""
     made = trip(profile, speed_mps=2.2, seconds=12)
     assert made.moving >= 0.85
     assert made.stops == []
@@ -39,7 +36,6 @@ def test_every_link_of_the_table_can_be_driven_over(profile: LinkProfile) -> Non
 
 
 def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
-    """It is refused before anything moves, and again and again."""
     rig = GatewayRig()
     operator = FarOperator(rig, LossyLink(LinkProfile("moon", 0.6), 1), 0.5)
     operator.run(20)
@@ -51,7 +47,6 @@ def test_a_link_that_is_too_slow_is_not_engaged_over() -> None:
 
 
 def test_a_link_that_becomes_too_slow_stops_the_robot_and_the_library_says_why() -> None:
-    """An age that jumps: the commands come, and are refused; that is told from a stream that has ended."""
     rig, link = GatewayRig(), LossyLink(LinkProfile("LAN", 0.001), 1)
     operator = FarOperator(rig, link, 0.5)
     operator.run(5)

@@ -1,4 +1,4 @@
-"""A fleet: what its samples say, what is kept of them, each robot's word, and how it is shown."""
+"""A fleet: its samples and their limits, each robot's word, and the views."""
 
 import io
 
@@ -39,7 +39,6 @@ START_NS = 10**12
 
 
 def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
-    """A fleet that heard all this at the start."""
     fleet = Fleet(ROOT)
     for one in heard:
         fleet.receive(one, START_NS)
@@ -48,7 +47,6 @@ def fleet_that_heard(*heard: Received | TokenChange) -> Fleet:
 
 @given(age_ns=st.integers(0, 10**11))
 def test_an_old_value_is_never_reported(age_ns: int) -> None:
-    """State and health are in the report only while they are fresh; their age stays."""
     report = fleet_that_heard(token(), received(STATE), received(HEALTH)).report("cruiser-1", START_NS + age_ns)
     assert (report.state is not None) == (age_ns < STATE_STALE_NS)
     assert (report.health is not None) == (age_ns < HEALTH_STALE_NS)
@@ -61,7 +59,6 @@ def test_an_old_value_is_never_reported(age_ns: int) -> None:
     ids=["never heard of", "there", "gone", "this end has lost Zenoh"],
 )
 def test_a_robot_is_connected_by_its_token(tokens: list[bool], *, linked: bool, connected: bool) -> None:
-    """Without a link the tokens that are remembered say nothing; without a state there is none, nor its age."""
     fleet = fleet_that_heard(*(token(present=present) for present in tokens))
     fleet.linked = linked
     report = fleet.report("cruiser-1", START_NS)
@@ -100,7 +97,6 @@ BOUNDED: dict[str, tuple[list[Received | TokenChange], int, str, str, int]] = {
 def test_a_fleet_is_bounded(
     heard: list[Received | TokenChange], later_ns: int, sees: str, left: str, refused: int
 ) -> None:
-    """What is beyond a limit of robots, recorders, names, bytes or time is refused or forgotten."""
     fleet = Fleet(ROOT, SMALL)
     for one in heard:
         fleet.receive(one, START_NS)
@@ -110,7 +106,6 @@ def test_a_fleet_is_bounded(
 
 
 def test_robots_are_kept_apart() -> None:
-    """Each robot has its own values, and robots under another root are not ours."""
     other = msgspec.structs.replace(STATE, speed_mps=2.0)
     fleet = fleet_that_heard(received(STATE), received(other, "cruiser-2"), token("cruiser-3"))
     elsewhere = Received(f"else/{ROOT}/cruiser-4/state", BY_NAME["state"].encoding, codec.encode(STATE))
@@ -121,7 +116,6 @@ def test_robots_are_kept_apart() -> None:
 
 
 def test_what_cannot_be_read_is_said_until_something_can() -> None:
-    """A payload that is wrong, or of another schema or version, changes no value and is reported."""
     encoding = BY_NAME["state"].encoding
     fleet = fleet_that_heard(Received(f"{ROOT}/cruiser-1/state", encoding, b"\xc1"))
     assert "state" in fleet.report("cruiser-1", START_NS).unreadable
@@ -140,14 +134,12 @@ def test_what_cannot_be_read_is_said_until_something_can() -> None:
     payload=st.binary(),
 )
 def test_no_sample_makes_hearing_raise(key: str, encoding: str, payload: bytes) -> None:
-    """Any key, encoding and payload are taken in, and every robot can still be reported."""
     fleet = fleet_that_heard(Received(key, encoding, payload), TokenChange(key, present=True))
     for robot in fleet.robots.names(START_NS):
         assert fleet.report(robot, START_NS).robot == robot
 
 
 def test_a_robot_of_a_newer_version_is_shown_as_far_as_it_is_known() -> None:
-    """A latch for a reason that is new is shown by its word, with what to do; commands and states are read on."""
     state = BY_TYPE[type(STANDBY)]
     key = keys.build(ROOT, "cruiser-1", state)
     latched = Received(key, state.encoding, with_new_word(STANDBY, ("latched",)))
@@ -164,7 +156,6 @@ def test_a_robot_of_a_newer_version_is_shown_as_far_as_it_is_known() -> None:
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_reply_of_a_newer_robot_is_read_as_far_as_it_is_known(command: Command) -> None:
-    """A refusal for a reason that is new is a refusal; another version says who is to be upgraded."""
     reply = command.reply(ok=False, reason=Reason.BUSY, detail="d", cure="c")
     read = read_reply(command, Received("key", command.reply_encoding, with_new_word(reply, ("reason",))))
     assert isinstance(read, Reply)
@@ -177,7 +168,6 @@ def test_a_reply_of_a_newer_robot_is_read_as_far_as_it_is_known(command: Command
 
 @given(grown=grown_messages())
 def test_what_a_newer_sender_says_is_read_and_counted(grown: tuple[Subject, Message, tuple[str, ...]]) -> None:
-    """Each new word once, with all samples that had it."""
     subject, message, path = grown
     key = f"fleet/{'@recorder/' if subject in RECORDER_SUBJECTS else ''}a/{subject.name.format(bus='can0')}"
     words = NewerWords()
@@ -198,7 +188,6 @@ def test_what_a_newer_sender_says_is_read_and_counted(grown: tuple[Subject, Mess
 
 
 def test_new_words_are_counted_up_to_a_bound() -> None:
-    """They are the sender's, and could be any number."""
     words = NewerWords()
     for number in range(1000):
         words.note((f"reason {number}",))
@@ -207,7 +196,6 @@ def test_new_words_are_counted_up_to_a_bound() -> None:
 
 
 def test_a_reply_of_another_schema_is_a_fault() -> None:
-    """A plain reply to acquire names no lease, and is not taken for one that does."""
     payload = msgspec.msgpack.encode(Reply(ok=True, reason=Reason.NONE, detail="", cure=""))
     received = Received("key", BY_VERB["stop"].reply_encoding, payload)
     assert isinstance(read_reply(BY_VERB["acquire"], received), PayloadFault)
@@ -235,7 +223,6 @@ MUTE = msgspec.structs.replace(NEW, health=None)
 
 
 def test_a_thousand_robots_are_read_in_one_line() -> None:
-    """So many of each word; those that need a person stand at the end."""
     robots = [DRIVING] * 1000 + [NEW, MUTE, SILENT, BUS_DOWN, LATCHED]
     assert summary(robots) == "1000 driving, 1 bus down, 1 needs reset, 3 offline"
 
@@ -361,6 +348,12 @@ SHOWN: dict[str, Row] = {
         ("checksum 3", "no such device", "real-time"),
         ("length",),
     ),
+    "health without a token": (
+        msgspec.structs.replace(FRESH, connected=False),
+        ("list",),
+        ("no liveliness token",),
+        (),
+    ),
     "a gateway without health": (msgspec.structs.replace(FRESH, health=None), ALL, ("no health",), ()),
     "among many, what is wrong alone": (
         BUS_LOST,
@@ -374,7 +367,6 @@ SHOWN: dict[str, Row] = {
 
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_view_shows(name: str) -> None:
-    """These words, and not those."""
     report, views, words, others = SHOWN[name]
     drawn_as = dict(zip(ALL, every_view(report), strict=True))
     for view_name in views:
@@ -395,7 +387,6 @@ def test_a_view_shows(name: str) -> None:
     ],
 )
 def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], reason: str) -> None:
-    """Why no state comes: this end, the gateway, its health, or what it sends."""
     assert reason in alarm(msgspec.structs.replace(STALE, **change))
 
 
@@ -410,14 +401,12 @@ def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], rea
     ],
 )
 def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) -> None:
-    """A bumper hit, a bus that is down, silent frames and an unknown variant are never left out."""
     report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
     assert word in listed(report)
     assert word.split(" ", 1)[1] in closely(report)
 
 
 def test_a_value_that_is_not_known_is_no_zero() -> None:
-    """A field that is null is shown as missing."""
     unknown = msgspec.structs.replace(
         STATE, speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED, front_bumper=None
     )
@@ -427,13 +416,11 @@ def test_a_value_that_is_not_known_is_no_zero() -> None:
 
 @given(report=REPORTS)
 def test_any_report_can_be_shown(report: RobotStatus) -> None:
-    """Whatever a robot sends, its lines are printable."""
     for text in (listed(report), drawn(Group(*fleet.detail_view(report)), 80)):
         assert text.replace("\n", "").isprintable()
 
 
 def test_nothing_is_shown_as_less_than_zero_when_it_rounds_to_zero() -> None:
-    """An angle a hair right of straight ahead is shown as zero, not as minus zero."""
     straight = msgspec.structs.replace(STATE, angle_deg=-0.0006, speed_mps=-0.001)
     text = closely(msgspec.structs.replace(FRESH, state=straight))
     assert [one for one in ("+0.00 m/s", "+0.0 deg") if one not in text] == []

@@ -1,4 +1,4 @@
-"""What is believed of robots, and what is signed for them."""
+"""When robots are believed, and what is signed for them."""
 
 from pathlib import Path
 from typing import Any
@@ -47,13 +47,11 @@ def read(evidence: Evidence, *times_ms: int) -> bool:
     ids=["enough", "too briefly", "too few", "at once", "two late batches"],
 )
 def test_three_samples_in_150_ms_are_believed(times_ms: tuple[int, ...], *, is_enough: bool) -> None:
-    """Whether they are read one by one or in batches: what counts is that nothing else was read in between."""
     assert CONFIRM_NS == 150 * MS
     assert read(Evidence(), *times_ms) is is_enough
 
 
 def test_what_was_contradicted_begins_anew() -> None:
-    """Samples of before count no more."""
     evidence = Evidence()
     assert read(evidence, 0, 75, 150)
     evidence.clear()
@@ -62,7 +60,6 @@ def test_what_was_contradicted_begins_anew() -> None:
 
 
 def test_samples_before_a_pause_prove_nothing_where_nothing_would_contradict() -> None:
-    """One in a while never becomes enough."""
     evidence = Evidence(pause_max_ns=500 * MS)
     assert not read(evidence, 0, 501, 1002, 1503)
     assert read(evidence, 1600, 2100)
@@ -96,7 +93,7 @@ class FakePort:
 
 
 class Scene:
-    """Somebody who stops, a robot of the same fleet, and the clock."""
+    """An operator who stops, a robot of the same fleet, and the clock."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 0
@@ -129,7 +126,6 @@ def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
 
 
 def test_a_stop_is_signed_for_each_robot_under_the_name_of_the_grant(scene: Scene) -> None:
-    """Over the robot's own key and its newest challenge; again after a while, for a put may be lost."""
     proof = StopProof(signer := scene.operator(), "fleet", signer)
     assert proof.name == "ann"
     for robot in ("cruiser-1", "cruiser-2", "cruiser-1"):
@@ -150,7 +146,6 @@ def test_a_stop_is_signed_for_each_robot_under_the_name_of_the_grant(scene: Scen
 
 
 def test_who_has_no_key_signs_nothing(scene: Scene) -> None:
-    """A viewer's stop is as good."""
     proof = StopProof(KnownRobots(scene.fleet.trust, "fleet", lambda: NOW_S), "fleet")
     proof.sign(scene.port, "cruiser-1", CHALLENGE)
     assert (proof.name, scene.port.sent) == ("", [])
@@ -159,7 +154,6 @@ def test_who_has_no_key_signs_nothing(scene: Scene) -> None:
 
 
 def test_the_reply_to_another_stop_is_none_to_this_one(scene: Scene) -> None:
-    """Though neither has a proof: each carries bytes of its own."""
     proof = StopProof(signer := scene.operator(), "fleet", signer)
     proof.meet(scene.port)
     scene.port.asked[0][2].replies = [scene.reply(scene.port.asked[0][1])]
@@ -174,7 +168,6 @@ def test_the_reply_to_another_stop_is_none_to_this_one(scene: Scene) -> None:
 
 
 def test_robots_are_asked_who_they_are_with_another_question_each_time(scene: Scene) -> None:
-    """One at a time, and now and then; the reply to a former question meets nobody."""
     proof = StopProof(signer := scene.operator(), "fleet", signer)
     proof.meet(scene.port)
     proof.meet(scene.port)
@@ -197,7 +190,6 @@ def test_robots_are_asked_who_they_are_with_another_question_each_time(scene: Sc
 
 
 def test_a_robot_is_asked_again_where_another_run_is_seen(scene: Scene) -> None:
-    """And believed as soon as its reply says that it is in this run."""
     operator = scene.operator()
     operator.meet("cruiser-1", scene.reply(b"who?"), b"who?")
     proof = LinkProof(operator, "cruiser-1", "fleet")
@@ -216,7 +208,6 @@ def test_a_robot_is_asked_again_where_another_run_is_seen(scene: Scene) -> None:
 
 
 def test_before_the_first_challenge_a_request_proves_nothing(scene: Scene) -> None:
-    """A stop is served so; its reply answers it alone."""
     proof = LinkProof(scene.operator(), "cruiser-1", "fleet")
     first, second = proof.attach("stop", b""), proof.attach("stop", b"")
     assert first != second
@@ -226,7 +217,6 @@ def test_before_the_first_challenge_a_request_proves_nothing(scene: Scene) -> No
 
 
 def test_without_the_keys_of_the_authority_nothing_is_verified(scene: Scene) -> None:
-    """And it is known why; the stop goes out all the same, with bytes of its own."""
     fault = Unmet(Reason.PROOF_MISSING, "authority.json is not there", "")
     proof = StopProof(fault, "fleet")
     proof.meet(scene.port)
@@ -239,7 +229,6 @@ def test_without_the_keys_of_the_authority_nothing_is_verified(scene: Scene) -> 
 
 @pytest.mark.parametrize("who", ["operator", "viewer", "desk"])
 def test_without_the_authoritys_file_the_cure_is_that_of_whose_machine_it_is(tmp_path: Path, who: str) -> None:
-    """The file, the bundle that has it, and the command for their own role."""
     (tmp_path / f"{who}-tls.key").write_text("")
     proof = stop_proof(Settings(authority=AuthoritySettings(mode="signed", directory=str(tmp_path))))
     assert proof is not None

@@ -1,4 +1,4 @@
-"""When a robot is said to have stopped, by what it answers and what is seen of it."""
+"""When a robot counts as stopped, by its replies and samples."""
 
 from collections import deque
 from types import SimpleNamespace
@@ -29,11 +29,7 @@ Batch = list[tuple[int, Sample] | Missed]
 
 
 class AnsweringPort:
-    """A port to a robot that answers at once, or to one that is silent.
-
-    Attributes:
-        is_proven: the port accepts the reply; else it is rejected, as one that cannot be verified.
-    """
+    """A port to a robot that answers at once, or never. ``is_proven``: the port accepts the reply."""
 
     is_over = True
 
@@ -64,7 +60,7 @@ class AnsweringPort:
 
 
 def report_of(*batches: Batch, port: AnsweringPort | None = None) -> remote_stop.StopReport:
-    """What is said of a robot of which these batches were read, each sample at its time in ms."""
+    """Report on a robot of which these batches were read, each sample at its time in ms."""
     waiting = iter(batches)
 
     def look() -> list[remote_stop.Seen | Missed]:
@@ -78,7 +74,7 @@ def report_of(*batches: Batch, port: AnsweringPort | None = None) -> remote_stop
 
 
 def batch(at_ms: int, *states: RobotState, says: SafetyState = LATCHED) -> Batch:
-    """The arbiter's states and the chassis's of a second, read in one go."""
+    """Twenty states of arbiter and chassis, read at once."""
     return [(at_ms, one) for one in [says] * 20 + list(states or [STANDS] * 20)]
 
 
@@ -108,7 +104,7 @@ SEEN: dict[str, tuple[list[Batch], str]] = {
 
 @pytest.mark.parametrize("name", SEEN)
 def test_a_robot_stops_where_all_that_is_seen_says_so(name: str) -> None:
-    """Three samples in 150 ms, and nothing that contradicts them or may be missing."""
+    """Three samples in 150 ms, none that contradicts, none missing."""
     batches, doubt = SEEN[name]
     report = report_of(*batches)
     assert report.stopped == ([] if doubt else ["cruiser-1"])
@@ -128,14 +124,12 @@ REFUSAL = msgspec.msgpack.encode(Reply(ok=False, reason=Reason.BUS_DOWN, detail=
     ids=["it cannot stop", "its answer is not verified", "it is silent"],
 )
 def test_another_answer_is_no_stop_whatever_is_seen(port: AnsweringPort, said: dict[str, object]) -> None:
-    """Each is reported as what it is."""
     report = msgspec.structs.asdict(report_of(batch(0), batch(400), port=port))
     named = {"stopped", "refused", "unconfirmed", "silent", "unverified"}
     assert {name: value for name, value in report.items() if name in named and value} == said
 
 
 def test_a_stop_that_is_interrupted_at_once_is_sent_all_the_same() -> None:
-    """Once; and of a link that is there nobody says that it is not."""
     answering = AnsweringPort()
     port: Any = answering
     report = remote_stop.stop(port, ROOT, "cruiser-1", 60.0, list, lambda: True)
@@ -143,7 +137,6 @@ def test_a_stop_that_is_interrupted_at_once_is_sent_all_the_same() -> None:
 
 
 def test_the_library_says_what_cannot_be_verified_and_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By an exception: nothing is said to be done."""
     unmet = msgspec.structs.replace(SILENT, text="it is not signed", cure="see ROBOT")
     report = remote_stop.StopReport([], {}, {}, [], linked=True, unverified={"cruiser-1": unmet})
     monkeypatch.setattr(remote_stop, "stop", lambda *_, **__: report)

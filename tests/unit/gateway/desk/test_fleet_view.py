@@ -1,4 +1,4 @@
-"""Samples in, rows of what has changed out; and a robot's row, the first thing that a person should know."""
+"""Samples in, changed rows out; and a robot's row."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 
 from gateway.choice.chassis import CHASSIS
 from gateway.client.fleet import FINE, LOOK, WORDS, RobotStatus
-from gateway.desk.fleet_view import BOUNDS, EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView, row_of, why_not
+from gateway.desk.fleet_view import EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView, row_of, why_not
 from gateway.desk.words import RecorderRow, RobotRow
 from gateway.telemetry.samples import Missed, TokenChange
 from schemas import keys
@@ -21,8 +21,6 @@ START = 10 * SECOND
 
 
 class Scene:
-    """A view, and the time."""
-
     def __init__(self) -> None:
         self.view = FleetView("fleet")
         self.now_ns = START
@@ -39,14 +37,13 @@ class Scene:
         return rows
 
     def row(self, seconds: float = 0.2) -> RobotRow:
-        """The one row that has changed meanwhile, of a robot that is there."""
+        """Return the only changed row."""
         (row,) = self.step(seconds).values()
         assert row is not None
         return row
 
 
 def test_only_what_has_changed_is_said() -> None:
-    """A robot that says the same again is not said again; one that has fallen silent is."""
     scene = Scene()
     assert scene.step() == {}
     scene.view.receive(TokenChange(keys.liveliness("fleet", "cruiser-1"), present=True))
@@ -58,7 +55,6 @@ def test_only_what_has_changed_is_said() -> None:
 
 
 def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
-    """However long ago; then it is gone, for a browser that comes later too."""
     scene = Scene()
     scene.say(STATE)
     scene.step()
@@ -70,7 +66,6 @@ def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:
 
 
 def test_of_each_key_the_newest_is_read() -> None:
-    """Fifty states between two looks are read as one; every event is kept, the last ones."""
     scene = Scene()
     for speed in range(50):
         scene.say(msgspec.structs.replace(STATE, speed_mps=speed / 100))
@@ -83,7 +78,6 @@ def test_of_each_key_the_newest_is_read() -> None:
 
 
 def test_recorders_are_listed_while_they_are_heard() -> None:
-    """And said again only where something is another."""
     scene = Scene()
     scene.say(recorder_health())
     scene.step()
@@ -97,7 +91,6 @@ def test_recorders_are_listed_while_they_are_heard() -> None:
 
 
 def test_the_last_minutes_are_there_at_once() -> None:
-    """A point each period, the oldest first; what was not known is null; no more than five minutes."""
     scene = Scene()
     for number in range(LENGTH + 20):
         scene.say(msgspec.structs.replace(STATE, speed_mps=float(number)))
@@ -110,7 +103,6 @@ def test_the_last_minutes_are_there_at_once() -> None:
 
 
 def test_the_path_is_by_the_odometry_over_the_states() -> None:
-    """1 m/s straight on for 2 s, then 2 s on a quarter of a circle: in the history, and as the newest pose."""
     scene = Scene()
     angle_deg = math.degrees(math.atan(math.pi / 4 * CHASSIS.wheelbase_m))
     for number in range(41):
@@ -130,7 +122,6 @@ def test_the_path_is_by_the_odometry_over_the_states() -> None:
 
 
 def test_a_row_says_who_sees_to_it() -> None:
-    """Who has acknowledged its word, as long as that holds."""
     scene = Scene()
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
     row = scene.row()
@@ -142,29 +133,6 @@ def test_a_row_says_who_sees_to_it() -> None:
     # Another alarm is not seen to, nor the first one when it comes back.
     scene.say(STATE, msgspec.structs.replace(STANDBY, lease_holder="ann"), HEALTH)
     assert scene.row().acknowledged == ""
-
-
-def test_a_stranger_who_makes_names_crowds_out_no_robot_that_is_there() -> None:
-    """What is kept has a bound, whatever the stranger publishes; that not all are shown is said for a while."""
-    scene = Scene()
-    scene.say(STATE, STANDBY, HEALTH)
-    scene.step()
-    for number in range(3 * BOUNDS.robots):
-        for message in (STATE, event(number, severity=Severity.WARNING)):
-            scene.view.receive(received(message, f"evil-{number}"))
-        scene.view.receive(TokenChange(keys.liveliness("fleet", f"worse-{number}"), present=True))
-    moving = msgspec.structs.replace(STATE, speed_mps=0.7)
-    scene.say(moving, event(1, severity=Severity.WARNING, text="seen all the same"))
-    rows = scene.step()
-    assert len(scene.view.all_rows()[0]) == BOUNDS.robots
-    assert scene.view.is_full
-    row = rows["cruiser-1"]
-    assert row is not None
-    assert (row.speed_mps, row.event) == (0.7, "seen all the same")
-    scene.step(60)
-    scene.say(STATE)
-    scene.step(10)
-    assert not scene.view.is_full
 
 
 READY = msgspec.structs.replace(
@@ -184,7 +152,6 @@ def report(state: RobotState | None, safety: SafetyState | None) -> RobotStatus:
 
 
 def safety(**change: object) -> SafetyState:
-    """One that only waits, but for this."""
     return msgspec.structs.replace(READY, **change)
 
 
@@ -211,7 +178,6 @@ WORST: list[tuple[Changes | None, Changes | None, str, list[str]]] = [
 def test_the_worst_of_a_robot_is_its_word(
     state: Changes | None, arbiter: Changes | None, word: str, reasons: list[str]
 ) -> None:
-    """Silence before a bus that is down, that before a latch, a latch before all that moves; with its reasons."""
     said = None if state is None else msgspec.structs.replace(AUTO, **state)
     row = row_of(report(said, None if arbiter is None else safety(**arbiter)), None)
     assert (row.word, row.level, row.reasons) == (word, WORDS[word], reasons)
@@ -219,28 +185,18 @@ def test_the_worst_of_a_robot_is_its_word(
 
 
 def test_a_robot_without_health_is_looked_at() -> None:
-    """However well it says that it is."""
     healthy = report(AUTO, READY)
     assert row_of(healthy, None).level == FINE
     assert row_of(msgspec.structs.replace(healthy, health=None), None).level == LOOK
 
 
-def test_nothing_old_is_shown_as_current() -> None:
-    """Of a robot whose state is too old there is no speed."""
-    row = row_of(report(None, None), None)
-    assert (row.speed_mps, row.limit_mps, row.link_age_s) == (None, None, None)
-    assert row.text.startswith("no contact for 0.1 s; ")
-
-
 @pytest.mark.parametrize(("travel_mps", "limit_mps"), [(None, 1.0), (0.4, 0.4), (2.7, 1.0)])
 def test_the_limit_is_the_one_in_force(travel_mps: float | None, limit_mps: float) -> None:
-    """That of the commands' age too, where it is the lower one."""
     row = row_of(report(AUTO, safety(speed_limit_mps=1.0, travel_speed_limit_mps=travel_mps)), None)
     assert row.limit_mps == limit_mps
 
 
 def test_why_it_does_not_move_is_said_with_the_buttons_that_cure_it() -> None:
-    """Each reason with its meaning, as on the command line; cures name no command that a button does."""
     reasons, _ = why_not(safety(blocked_by=[Reason.REMOTE_STOP, Reason.NOT_ENGAGED]), HEALTH, "cruiser-7")
     assert [reason for reason, _, _ in reasons] == ["remote_stop", "not_engaged"]
     assert [cure for _, _, cure in reasons] == ["press Reset, then Take control", "Take control"]
@@ -250,6 +206,5 @@ def test_why_it_does_not_move_is_said_with_the_buttons_that_cure_it() -> None:
 
 
 def test_what_a_robot_says_cannot_command_a_terminal_or_a_page() -> None:
-    """Control characters in names and texts are shown, not obeyed."""
     row = row_of(report(AUTO, safety(lease_holder="\x1b[2Jann")), None)
     assert "\x1b" not in row.driver + row.text

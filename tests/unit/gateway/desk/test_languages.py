@@ -1,4 +1,4 @@
-"""What the page shows to a person is there in Chinese as well."""
+"""Everything that the page shows exists in Chinese too."""
 
 import re
 from enum import Enum
@@ -32,19 +32,18 @@ def texts(language: str) -> dict[str, str]:
 
 
 def reasons(name: str) -> dict[str, tuple[str, str]]:
-    """Meaning and cure of the reasons of a table."""
+    """Return meaning and cure of the reasons in a table."""
     return {one: (means, cure) for one, means, cure in re.findall(r'(\w+): \["([^"]*)", "([^"]*)"\]', table(name))}
 
 
 def sentences() -> dict[str, list[re.Pattern[str]]]:
-    """The sentences of each kind of event that are known."""
+    """Return the known sentences by kind of event."""
     kinds = re.split(r"^    (\w+): ", table("event"), flags=re.MULTILINE)[1:]
     patterns = ([re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", rows)] for rows in kinds[1::2])
     return dict(zip(kinds[::2], patterns, strict=True))
 
 
 def test_every_reason_has_a_meaning_and_a_cure_in_chinese() -> None:
-    """And one of its own where it means something else of a robot than of a request."""
     assert reasons("reason").keys() == {reason.value for reason in Reason}
     assert reasons("of_robot").keys() == {one.value for one in Reason if OF_A_ROBOT[one] != TEXTS[one]}
     for name in ("reason", "of_robot"):
@@ -54,7 +53,6 @@ def test_every_reason_has_a_meaning_and_a_cure_in_chinese() -> None:
 
 
 def test_a_cure_in_chinese_names_the_same_buttons() -> None:
-    """As they are called in Chinese."""
     buttons = {"press Reset": texts(CHINESE)["reset"], "Take control": texts(CHINESE)["take_control"]}
     cures = reasons("reason")
     for reason, (_, cure) in reasons_in_words().items():
@@ -63,14 +61,12 @@ def test_a_cure_in_chinese_names_the_same_buttons() -> None:
 
 
 def test_every_kind_of_event_has_a_sentence_in_chinese() -> None:
-    """None without one."""
     assert sentences().keys() == {kind.value for kind in EventKind}
     assert all(sentences().values())
 
 
 @pytest.mark.parametrize("scenario", [deadman, front_bumper, guard_acts, hand_transmitter])
 def test_what_a_robot_reports_is_a_sentence_that_is_known(scenario: Scenario) -> None:
-    """Whatever stops it. Only what the core was told in words of others stays as it was sent."""
     known = [pattern for patterns in sentences().values() for pattern in patterns]
     meanings = {text.means for text in TEXTS.values()}
     events = acted(scenario).events
@@ -80,7 +76,6 @@ def test_what_a_robot_reports_is_a_sentence_that_is_known(scenario: Scenario) ->
 
 
 def test_every_word_and_value_is_there_in_chinese() -> None:
-    """Those of the overview, of the chassis and of recorders; and each text that the page has in English."""
     words, values = (table(name) for name in ("word", "value"))
     assert set(re.findall(r"(\w+): \"", words)) == WORDS.keys()
     kinds: list[type[Enum]] = [Mode, GearPosition, BrakingStatus, ParkingStatus, RecorderState]
@@ -89,7 +84,6 @@ def test_every_word_and_value_is_there_in_chinese() -> None:
 
 
 def test_each_error_of_the_page_is_a_sentence_in_chinese() -> None:
-    """Those of driving, of keys and grants, and of the proofs; whatever stands in a template's gaps."""
     known = [re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", table("said"))]
     scripts = [path.read_text("utf-8") for path in PLACE.glob("*.js") if path.name != "words.js"]
     thrown = [text for script in scripts for _, text in re.findall(r"new Error\(([\"`])(.*?)\1\)", script)]

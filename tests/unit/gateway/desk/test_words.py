@@ -1,4 +1,4 @@
-"""What a browser may say, and what waits for it: a slow one gets the newest."""
+"""Messages of a browser, and the queue for one: a slow browser gets the newest."""
 
 from typing import Any
 
@@ -55,7 +55,6 @@ def said(message: object) -> words.FromBrowser:
     ],
 )
 def test_what_is_not_of_its_form_is_refused(change: dict[str, Any]) -> None:
-    """No key expression can be made of it that names more than one robot, one operator, one verb."""
     with pytest.raises(msgspec.ValidationError):
         said({**ASK, **change})
 
@@ -73,7 +72,6 @@ def rows_of(messages: list[ToBrowser]) -> DeskRows:
 
 
 def test_rows_that_wait_are_merged() -> None:
-    """The newest of each robot is sent, once; then nothing more."""
     outbox = BrowserOutbox()
     newer = msgspec.structs.replace(ROW, word="driving")
     outbox.add_rows({"a": ROW, "b": ROW}, [], linked=False)
@@ -85,7 +83,6 @@ def test_rows_that_wait_are_merged() -> None:
 
 
 def test_samples_that_wait_too_long_go() -> None:
-    """The oldest first; those of a robot that is not looked at any more go at once."""
     outbox = BrowserOutbox()
     outbox.look("cruiser-1")
     for number in range(SAMPLES_WAITING + 3):
@@ -98,7 +95,6 @@ def test_samples_that_wait_too_long_go() -> None:
 
 
 def test_who_reads_nothing_is_cut_off() -> None:
-    """After some hundred replies; memory does not grow."""
     outbox = BrowserOutbox()
     for _ in range(WAITING):
         outbox.add(DeskRefused("no"))
