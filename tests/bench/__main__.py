@@ -51,8 +51,7 @@ EXTENT: Final[dict[str, tuple[Any, Any, str]]] = {
     "stops": (10, 2, "remote stops"),
     "ticks": (3000, 300, "of the command flow"),
     "floods": (5, 1, "of commands"),
-    "link_s": (30.0, 10.0, "simulated, of each bad link"),
-    "goal_s": (300.0, 60.0, "simulated, of the one with a goal"),
+    "link_s": (60.0, 10.0, "simulated, of each latency"),
     "presses": (50, 5, "of a pointer on the desk"),
     "desk_kills": (5, 1, "of its browser"),
     "crowd_s": (20.0, 1.0, "of its crowd"),
@@ -77,7 +76,6 @@ BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "signed": lambda on: signed_latency.rows(on.turns, on.turn_drives),
     "floods": lambda on: flood.rows(on.floods),
     "guard": lambda on: guard_latency.rows(on.kills),
-    "links": lambda on: links.rows(on.link_s, on.goal_s),
     "desk": lambda on: desk.rows(on.presses, on.desk_kills, on.crowd_s),
     "recorder": lambda on: recorder_rate.rows(on.recorder_rounds, on.held_s, on.sustain_s),
     "fleet": lambda on: fleet.rows(on.robots, on.routers, on.shards, on.seconds, on.profile),
@@ -87,7 +85,7 @@ BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
 # Benches that run by their name alone.
 BY_NAME: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "kills": lambda on: recorder_kills.rows(on.recorder_kills),
-    "latencies": lambda on: links.latency_rows(on.link_s),
+    "latencies": lambda on: links.rows(on.link_s),
 }
 
 

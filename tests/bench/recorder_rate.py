@@ -3,13 +3,13 @@
 All are fed in turns over Zenoh on loopback with what ten driving robots publish, faster than they write, and none
 may lose anything. Figures per log record, a raw CAN frame being one: records/s from a full queue once the load has
 ended (by the growth of the logs), records/s with the load beside, processor time of the whole process, bytes in
-the log. Then robots at their own pace: how many the recorder holds without loss, and its memory at 60 % of that.
+the log. Then robots at their own pace: how many the recorder holds without loss, and its losses at 60 % of that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from statistics import fmean, linear_regression, median
+from statistics import median
 from typing import Final
 
 import msgspec
@@ -89,13 +89,10 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
         return table
     robots = max(1, round(held.robots * SUSTAIN_SHARE))
     long = run(OURS, robots, round(sustain_s * TICKS_PER_S), is_paced=True)
-    late = long.rss_bytes[len(long.rss_bytes) // 2 :]
-    slope = linear_regression(range(len(late)), late).slope if len(late) > 1 else 0.0
     return [
         *table,
         (f"  {sustain_s:g} s with {robots}: records lost", f"{long.lost} of {long.fed.records:,}", "0"),
         ("  CPU", f"{long.cpu_share * 100:.0f} % of a core", ""),
-        ("  memory in the second half, change", f"{fmean(late) / 1e6:.0f} MB, {slope / 1e3:+.0f} kB/s", "flat"),
     ]
 
 

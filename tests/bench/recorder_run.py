@@ -25,7 +25,7 @@ from mcap.stream_reader import StreamReader
 from schemas.command_line import ExitCode
 from tests.bench.recorder_load import Fed
 from tests.support.fakes.peer import free_endpoint
-from tests.support.processes.usage import cpu_s, rss_bytes
+from tests.support.processes.usage import cpu_s
 
 OURS: Final = "recorder"  # ``cruiser record``; the others are in ``recorder_peers``
 QUEUE_SAMPLES: Final = 1_000_000
@@ -46,7 +46,6 @@ class Run(msgspec.Struct, frozen=True):
         wall_s: from the first sample to the receiver's last work.
         lag_s: from the publisher's end to that.
         drain_per_s: records a second in that time, by the growth of the logs.
-        rss_bytes: of the receiver's process, each second.
     """
 
     fed: Fed
@@ -57,7 +56,6 @@ class Run(msgspec.Struct, frozen=True):
     lag_s: float
     drain_per_s: float
     bytes: int
-    rss_bytes: list[int]
 
     @property
     def cpu_us(self) -> float:
@@ -117,7 +115,6 @@ def run(receiver: str, robots: int, ticks: int, *, is_paced: bool) -> Run:
         lag_s=lag_s,
         drain_per_s=written * (1 - written_bytes / log_bytes) / lag_s if lag_s else 0.0,
         bytes=log_bytes,
-        rss_bytes=watch.rss_bytes,
     )
 
 
@@ -197,12 +194,10 @@ def _listen(stream: IO[str], said: list[str]) -> None:
 
 
 class _Watch:
-    """Notes when a process was last busy, and its memory."""
+    """Notes when a process was last busy."""
 
     def __init__(self, pid: int) -> None:
         self.busy_ns = 0  # since 1970
-        self.rss_bytes: list[int] = []  # each second
-        self._pid = pid
         self._proc = Path(f"/proc/{pid}")
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -224,15 +219,11 @@ class _Watch:
 
     def _run(self) -> None:
         last_ns, ran_ns = time.time_ns(), self._ran_ns()
-        second_ns = last_ns
         while not self._is_over.wait(BUSY_WINDOW_S):
             before_ns, last_ns = last_ns, time.time_ns()
             before_ran_ns, ran_ns = ran_ns, self._ran_ns()
             if ran_ns - before_ran_ns > BUSY_SHARE * (last_ns - before_ns):
                 self.busy_ns = last_ns
-            if last_ns - second_ns >= 1_000_000_000:
-                second_ns += 1_000_000_000
-                self.rss_bytes.append(rss_bytes(self._pid))
 
     def _ran_ns(self) -> int:
         """Processor time of all threads; that of ``stat`` is too coarse."""

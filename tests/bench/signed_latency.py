@@ -7,7 +7,6 @@ import tempfile
 import time
 from pathlib import Path
 from random import Random
-from statistics import median
 from tempfile import mkdtemp
 from unittest.mock import patch
 
@@ -89,7 +88,6 @@ def measure(turns: int, drives: int) -> list[tuple[list[float], list[float]]]:
 def rows(turns: int, drives: int) -> list[Row]:
     measured = measure(turns, drives)
     opened, signed = (sorted(one for pair in measured for one in pair[mode]) for mode in (0, 1))
-    added_ms = [(quantile(signed_, 0.99) - quantile(open_, 0.99)) / 1000 for open_, signed_ in measured]
     whole_ms = (quantile(signed, 0.99) - quantile(opened, 0.99)) / 1000
     middle_ms = (quantile(signed, 0.5) - quantile(opened, 0.5)) / 1000
     return [
@@ -97,11 +95,6 @@ def rows(turns: int, drives: int) -> list[Row]:
         ("  signed mode, with the making of the proof", _ms(signed), ""),
         ("  the difference at p50", f"{middle_ms:+.2f} ms", ""),
         ("  the difference at p99", f"{whole_ms:+.2f} ms", "under 1 ms"),
-        (
-            f"  of {len(measured)} turns: the median, least, most",
-            f"{median(added_ms):+.2f} {min(added_ms):+.2f} {max(added_ms):+.2f} ms",
-            "",
-        ),
     ]
 
 
