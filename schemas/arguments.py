@@ -59,7 +59,7 @@ def seconds(text: str) -> float:
 def ending_after(
     stopped: Callable[[], bool], duration_s: float | None, clock_s: Callable[[], float]
 ) -> Callable[[], bool]:
-    """``stopped``, or true once the duration has passed since now; None is no end."""
+    """``stopped``, or True once the duration has passed; None is no limit."""
     if duration_s is None:
         return stopped
     end_s = clock_s() + duration_s
@@ -79,4 +79,4 @@ robot_name: Final = _name_of("a robot", ROBOT_PATTERN, "its name")
 robot_names: Final = _name_of("a robot, or several", ROBOTS_PATTERN, "its name")
 operator_name: Final = _name_of("an operator", OPERATOR_PATTERN, "the name")
 recorder_name: Final = _name_of("a recorder", ROBOT_PATTERN, "its name")
-"""Readers of a name on the command line. They raise argparse.ArgumentTypeError where it is not of its form."""
+"""Argument types for names; they raise argparse.ArgumentTypeError."""

@@ -1,11 +1,10 @@
-"""Bytes of the wire: MessagePack, encodings that name a schema, and their versions.
+"""Encode and decode MessagePack; encodings that name a schema and its version.
 
-An encoding names a schema and its version. Without a new version a message may get fields, which older receivers
-leave out, and an enumeration may get values, which they keep as the words that came.
+A message may get new fields, and an enumeration new values, without a new version: older receivers ignore the
+fields and treat the values as words.
 
-``encode`` writes what any MessagePack library reads: a map with string keys. ``decode`` checks types and bounds,
-and ignores fields that it does not know. ``understand`` is for readers: it also keeps values that an enumeration
-got in a newer version, and names what is new.
+``encode`` writes a map with string keys. ``decode`` checks types and bounds, and ignores unknown fields.
+``understand`` is for readers: it also accepts unknown values of enumerations, and lists everything unknown.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _ENCODING: Final = re.compile(
 
 _VALUE: Final = re.compile(r"[a-z][a-z0-9_]{0,63}")
 
-_MEMBERS_KEPT: Final = 1024  # so many values of others' versions are remembered
+_MEMBERS_KEPT: Final = 1024  # cached members for values of other versions
 
 _MAP_16: Final = 0xDE
 _FIX_MAP: Final = 0x80
@@ -38,7 +37,7 @@ Member = TypeVar("Member", bound=Enum)
 
 
 def encoding_fault(encoding: str, known: str, receiver: str, sender: str) -> str:
-    """Describe what is wrong with an encoding that is not the known one, and who is to be upgraded."""
+    """Describe the difference between an encoding and the known one, and which side to upgrade."""
     theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
     if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
         return f"{encoding[:100]!a} is not {known}"
@@ -49,7 +48,7 @@ def encoding_fault(encoding: str, known: str, receiver: str, sender: str) -> str
 
 
 def other_version(encoding: str, known: str) -> Literal["newer", "older", ""]:
-    """Report how another version of the known schema stands to it; empty for the same, and for another schema."""
+    """Return whether an encoding is a newer or older version of the known schema; empty if neither."""
     theirs, ours = _ENCODING.fullmatch(encoding), _ENCODING.fullmatch(known)
     if theirs is None or ours is None or theirs["schema"] != ours["schema"]:
         return ""
@@ -62,10 +61,9 @@ def names_schema(encoding: str) -> bool:
 
 
 def member_of(kind: type[Member], value: str) -> Member | None:
-    """The member of an enumeration that has this value, or one made for it if the value is of another version.
+    """The member of an enumeration with this value, or one made for a value of another version.
 
-    Such a member is none of those that the enumeration lists: it equals itself alone, and its value is the word
-    that came. None where that is no word such as values are.
+    A made member is not listed by the enumeration and equals only itself. None if the text cannot be a value.
     """
     try:
         return kind(value)
@@ -86,7 +84,7 @@ def is_foreign(member: Enum) -> bool:
 
 
 def count_fields(payload: bytes) -> int:
-    """The number of fields that a MessagePack map says it has; 0 if the payload is no map, or a huge one."""
+    """The number of fields of a MessagePack map by its header; 0 if the payload is not a map, or a huge one."""
     first = payload[0] if payload else 0
     if first & 0xF0 == _FIX_MAP:
         return first & 0x0F
@@ -94,14 +92,14 @@ def count_fields(payload: bytes) -> int:
 
 
 def enumeration_in(annotation: Any) -> tuple[type[Enum], bool] | None:  # noqa: ANN401 - whatever a field is annotated with
-    """The enumeration of a field, and whether the field is a list of them; None if it is of another type."""
+    """The enumeration of a field, and True if the field is a list of it; None for other types."""
     is_list = get_origin(annotation) is list
     kind = get_args(annotation)[0] if is_list else annotation
     return (kind, is_list) if isinstance(kind, type) and issubclass(kind, Enum) else None
 
 
 class PayloadFault(msgspec.Struct, frozen=True):
-    """A payload that is not what its subject promises. A value, not an exception: wire input never raises."""
+    """The fault in a payload. A value, not an exception: wire input never raises."""
 
     detail: str
 
@@ -121,7 +119,7 @@ def sample_of(message: Message) -> Sample:
 
 
 PAYLOAD_ERRORS: Final = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-"""Exceptions that decoding may raise, whatever the payload holds."""
+"""Exceptions that decoding any payload may raise."""
 
 
 def decode(subject: Subject, payload: bytes) -> Message | PayloadFault:
@@ -136,11 +134,11 @@ Kind = TypeVar("Kind", bound=msgspec.Struct)
 
 
 class Understood(msgspec.Struct, Generic[Kind], frozen=True, gc=False):
-    """A message of another version, as far as this one knows it.
+    """A message of another version, as far as this version knows it.
 
     Attributes:
-        message: with members made for the values that the enumerations of this version do not have.
-        unknown: each such value, and each field that this version does not have, by the field's name.
+        message: with members made for unknown values of enumerations.
+        unknown: each such value, and each unknown field, by the field's name.
     """
 
     message: Kind
@@ -148,9 +146,9 @@ class Understood(msgspec.Struct, Generic[Kind], frozen=True, gc=False):
 
 
 def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFault:
-    """Decode a message or reply of a newer version as far as it is understood. Never for a request.
+    """Decode a message or reply of a newer version as far as possible. Not for requests.
 
-    Values that an enumeration does not have cost one more decoding, unknown fields so when they are named.
+    Unknown values cost one more decoding, unknown fields another.
     """
     decoder = _reader(kind)
     try:
@@ -162,7 +160,7 @@ def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFa
             return Understood(message)
         try:
             return Understood(message, _unknown_fields(kind, payload))
-        except (*PAYLOAD_ERRORS, TypeError) as error:  # The name of a field that this version does not have.
+        except (*PAYLOAD_ERRORS, TypeError) as error:  # from the name of an unknown field
             return PayloadFault(str(error))
     try:
         values: Any = _UNTYPED.decode(payload)
@@ -174,7 +172,7 @@ def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFa
 
 
 def _take_foreign(kind: type[msgspec.Struct], values: dict[str, Any]) -> dict[str, Any]:
-    """Take the values that are of no enumeration of ours out of a message; members made for them, by field."""
+    """Remove unknown values of enumerations from a message; return members made for them, by field."""
     foreign: dict[str, Any] = {}
     for name, (inner, is_list) in _growing_fields(kind).items():
         value = values[name] if isinstance(values, dict) and name in values else None
@@ -229,7 +227,7 @@ def _unknown_fields(kind: type[msgspec.Struct], payload: bytes) -> tuple[str, ..
 
 @cache
 def _growing_fields(kind: type[msgspec.Struct]) -> dict[str, tuple[type[Any], bool]]:
-    """The fields of an enumeration, of a list of them, or of a message within; with whether it is a list."""
+    """The fields with an enumeration, a list of one, or a nested message; True for a list."""
     hints = get_type_hints(kind)
     found = {name: enumeration_in(hints[name]) for name in kind.__struct_fields__}
     growing: dict[str, tuple[type[Any], bool]] = {name: one for name, one in found.items() if one is not None}
@@ -246,15 +244,14 @@ def _reader(kind: type[Kind]) -> msgspec.msgpack.Decoder[Kind]:
 
 _UNTYPED: Final = msgspec.msgpack.Decoder()
 
-UNKNOWN_NAMED: Final = 8  # fields that this version does not have: so many are named
-
+UNKNOWN_NAMED: Final = 8  # most unknown fields that are listed
 FIELD_NAME_MAX: Final = 64
 
 
 def decode_request(verb: Verb[Any], payload: bytes) -> Request | PayloadFault:
-    """The typed request of a payload, or what is wrong with it. Every number in it is finite."""
+    """The typed request of a payload, or its fault. Every number in a request is finite."""
     try:
-        # A verb that needs nothing may be sent with no payload at all.
+        # A verb without required fields may be sent with an empty payload.
         request: Request = _reader(verb.request).decode(payload or _EMPTY_MAP)
     except PAYLOAD_ERRORS as error:
         return PayloadFault(str(error))

@@ -14,12 +14,12 @@ from typing import Final
 
 
 def installed_version(package: str) -> str:
-    """The version of an installed package. importlib.metadata tells it too, and takes 3.5 MiB of memory for it."""
+    """The version of an installed package, without importlib.metadata, which takes 3.5 MiB of memory."""
     start = f"{package.replace('-', '_')}-"
     for place in sys.path:
         for path in Path(place).glob(f"{start}*.dist-info"):
             return path.name.removeprefix(start).removesuffix(".dist-info")
-    # Other tools than pip may name the directory otherwise.
+    # Tools other than pip may name the directory differently.
     from importlib.metadata import version  # noqa: PLC0415
 
     return version(package)
@@ -37,18 +37,18 @@ class ExitCode(IntEnum):
 
 
 class CommandError(Exception):
-    """A command cannot go on: one clear line for the person, and an exit code."""
+    """A command cannot continue: one line for the user, and an exit code."""
 
     def __init__(self, message: str, code: ExitCode = ExitCode.FAILURE) -> None:
         super().__init__(message)
         self.code = code
 
 
-LINE_LENGTH: Final = 300  # of a text from elsewhere no more belongs into a line
+LINE_LENGTH: Final = 300  # longest text from elsewhere in a line
 
 
 def plain(text: str) -> str:
-    """The text as it is if all of it can be printed, else with escapes: it can break neither line nor terminal."""
+    """The text, with escapes if it is not printable: it cannot break lines or control the terminal."""
     return text if text.isprintable() else ascii(text)[1:-1]
 
 
@@ -61,24 +61,20 @@ def missing_extra(library: str, extra: str) -> CommandError:
 
 
 def how_to_get(extra: str) -> str:
-    """Return where an extra comes from, to be put behind what needs it."""
+    """Return how to install an extra, to append to the library's name."""
     if find_spec("pip") is not None:
         return f": pip install -e '.[{extra}]' in the checkout, or 'FILE[{extra}]' with the wheel"
-    # The Debian package and the image have none: what they bring is all that they ever have.
-    return (
-        ", which is not part of this installation, and there is no pip: run it from a checkout, where "
-        "'make install' brings it"
-    )
+    # The Debian package and the image have no pip.
+    return ", which is not part of this installation, and there is no pip: use a checkout and 'make install'"
 
 
-SAFE_PATH_VARIABLE: Final = "PYTHONSAFEPATH"  # the same as ``-P``, for an interpreter that a library starts
+SAFE_PATH_VARIABLE: Final = "PYTHONSAFEPATH"  # as ``-P``, for an interpreter that a library starts
 
 
 def module_command(module: str, *words: str) -> tuple[str, ...]:
     """Return the command line that runs a module of this installation.
 
-    With ``-P``: a Python file in the working directory is never taken for a module. People keep logs there that
-    others have sent them.
+    With ``-P`` a Python file in the working directory, beside downloaded logs, is never imported.
     """
     return sys.executable, "-P", "-m", module, *words
 
@@ -87,14 +83,14 @@ _KINDS: Final = {"d": "a directory", "p": "a FIFO", "s": "a socket", "c": "a dev
 
 
 def other_kind(mode: int) -> str:
-    """Return the kind of what is no regular file, in words; empty for a regular one."""
+    """Return the kind of a file that is not regular, in words; empty for a regular one."""
     return "" if stat.S_ISREG(mode) else _KINDS.get(stat.filemode(mode)[0], "something else")
 
 
 def check_regular(path: PurePath, mode: int) -> None:
-    """Check that what is to be read is a regular file, before it is opened."""
+    """Check that a file is regular, before it is opened."""
     if kind := other_kind(mode):
-        raise CommandError(f"{plain(str(path))} is {kind}, and has to be a regular file", ExitCode.USAGE)
+        raise CommandError(f"{plain(str(path))} is {kind}, not a regular file", ExitCode.USAGE)
 
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
@@ -138,7 +134,7 @@ def add_certificate_arguments(parser: argparse.ArgumentParser) -> None:
 def certificate_files(
     chain: Path | str | None, key: Path | str | None, host: str, who: str
 ) -> tuple[Path, Path] | None:
-    """The files of certificate and key; None where there are none, and clients are on this machine alone."""
+    """The files of certificate and key; None without them, which is allowed on a loopback address only."""
     if not chain and not key:
         if ipaddress.ip_address(host).is_loopback:
             return None

@@ -1,7 +1,6 @@
-"""Settings from their sources, TOML file, environment, flags, in rising order; and their table. Pure.
+"""Merge settings from a TOML file, the environment and flags, in rising precedence. Pure.
 
-Whatever is wrong is one line that names the key, where it stands, and the nearest right key or the bounds.
-The table in ``docs/configuration.md`` is printed from here.
+Each fault is one line that names the key, its place, and the nearest right key or the bounds.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from schemas.settings import NEEDED_FEEDBACK, AuthoritySettings, Settings
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
-    """Return the text of each field in the docstrings of a class and of its bases."""
+    """Return the texts of fields in the docstrings of a class and its bases."""
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         _, _, section = python_inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
@@ -49,7 +48,7 @@ _HEADER: Final = re.compile(r"\s*\[\[?([^\]]*)\]")
 
 
 def line_of(text: str, table: str, key: str = "") -> int:
-    """The line, from 1, of a table or of a key in it; of the table if the key is not found, or else 0."""
+    """The line, from 1, of a key in a table, or else of the table, or else 0."""
     found, here = 0, ""
     for number, line in enumerate(text.split("\n"), start=1):
         if header := _HEADER.match(line):
@@ -93,15 +92,13 @@ def write_key(name: str) -> str:
 
 
 def write_string(text: str) -> str:
-    """A basic string: as in JSON, but for DEL, which TOML wants escaped too. All else stands as it is."""
+    """A basic string: as in JSON, but TOML requires DEL to be escaped too."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", r"\u007F")
 
 
 VARIABLE_PREFIX: Final = "CRUISER_"
-CONFIG_VARIABLE: Final = "CRUISER_CONFIG"
-"""Names the TOML file; the one variable with the prefix that is no setting."""
-
-GIVEN: Final = "given"  # the field that is no setting: which settings of its table a source gave
+CONFIG_VARIABLE: Final = "CRUISER_CONFIG"  # names the TOML file; the only such variable that is not a setting
+GIVEN: Final = "given"  # the field that is not a setting: names of the settings that a source set
 
 Kind = inspect.Type
 
@@ -122,7 +119,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def kind(self) -> Kind:
-        """The type, taken apart. That takes 0.1 ms, so it is done for the few that somebody asks about."""
+        """The inspected type, computed on demand since it takes 0.1 ms."""
         return inspect.type_info(self.annotation)
 
     @property
@@ -136,7 +133,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The right values, if there are only these; else empty."""
+        """The allowed values of an enumeration; else empty."""
         kind = self.kind
         return tuple(str(value) for value in kind.values) if isinstance(kind, inspect.LiteralType) else ()
 
@@ -202,19 +199,18 @@ _FLAG_WORDS: Final = {
     **dict.fromkeys(("true", "yes", "on", "1"), True),
     **dict.fromkeys(("false", "no", "off", "0"), False),
 }
-_SHOWN_LENGTH: Final = 60  # an error shows at most this many characters of a value
-
+_SHOWN_LENGTH: Final = 60  # most characters of a value in an error
 
 NO_GATEWAYS: Final = frozenset({"desk", "upload"})
-"""Tables that no gateway reads. Everybody reads its settings, and the options of a store may be secrets; logs hold
-them, and earlier versions read none that they do not know."""
+"""Tables that a gateway does not publish with its settings: a store's options may contain secrets, and earlier
+versions refuse logs with unknown tables."""
 
 
 class TomlSource(msgspec.Struct, frozen=True):
     """The text of a TOML file, and the file's name for messages.
 
     Attributes:
-        is_recorded: it comes out of a log, which an earlier version may have written.
+        is_recorded: the text is from a log, maybe of an earlier version.
     """
 
     file: str
@@ -226,7 +222,7 @@ class Given(msgspec.Struct, frozen=True):
     """A value that a source gives for a setting.
 
     Attributes:
-        where: the beginning of a message: ``robot.toml:3``, ``environment CRUISER_CAN_BUS``, ``flag can.bus``.
+        where: its place, for messages: ``robot.toml:3``, ``environment CRUISER_CAN_BUS``, ``flag can.bus``.
     """
 
     setting: Setting
@@ -238,7 +234,7 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     """The settings in force. Later sources win: file, environment, flags.
 
     Args:
-        flags: values by dotted key; a text is read as in the environment, anything else taken as it is.
+        flags: values by dotted key; a text is parsed as in the environment, other values are used as they are.
     """
     values: dict[str, object] = {}
     sources = (
@@ -253,20 +249,20 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     for key, value in values.items():
         setting = SETTINGS[key]
         sections[setting.section][setting.name] = value
-    # A Zenoh configuration file is a source too, below all others, which only a port can read.
+    # A Zenoh configuration file is a further source with the lowest precedence, which only a port reads.
     sections["zenoh"][GIVEN] = list(sections["zenoh"])
     settings = msgspec.convert(sections, Settings)
     command = settings.command
     if command.emergency_deceleration_mps2 < command.deceleration_mps2:
         raise _wrong(
             f"command.emergency_deceleration_mps2 is {command.emergency_deceleration_mps2:g}, and "
-            f"command.deceleration_mps2 {command.deceleration_mps2:g}: a stop at once may not be the gentler one"
+            f"command.deceleration_mps2 {command.deceleration_mps2:g}: the emergency deceleration may not be lower"
         )
     left_out = [name for name in NEEDED_FEEDBACK if name not in settings.chassis.required_feedback]
     if left_out:
         key = "chassis.required_feedback"
         named = f"{key} (or {SETTINGS[key].variable})"
-        raise _wrong(f"{named} leaves out {', '.join(left_out)}: no robot is commanded without")
+        raise _wrong(f"{named} leaves out {', '.join(left_out)}, which every robot needs")
     return settings
 
 
@@ -306,7 +302,7 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
                     text = f"{key} was removed and has no effect: {GONE_SETTINGS[key]}"
                     logging.getLogger(__name__).warning("%s: %s", where(section, name), text)
                 continue
-            # Only a wrong value asks for its line: finding lines costs more than reading the file.
+            # The line is found for wrong values only: finding lines takes longer than reading the file.
             try:
                 _checked(Given(SETTINGS[key], value, ""))
             except CommandError:
@@ -314,10 +310,8 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
             yield Given(SETTINGS[key], value, "")
 
 
-RECORDED_MAX: Final = 64 * 1024  # the longest text of settings that is taken from a log
-
-RECORDED_DOTS: Final = 1_000
-"""Dots in one line of such a text at most: for a key in many parts tomllib needs the square of their number."""
+RECORDED_MAX: Final = 64 * 1024  # longest text of settings that is read from a log
+RECORDED_DOTS: Final = 1_000  # most dots in a line of it: tomllib's time grows with the square of a key's parts
 
 
 def _parse(toml: TomlSource) -> dict[str, Any]:
@@ -335,7 +329,7 @@ def _parse(toml: TomlSource) -> dict[str, Any]:
             raise _wrong(f"{plain(toml.file)}:{position[1]}: not TOML, column {position[2]}: {what}") from error
         line = toml.text.rstrip("\n").count("\n") + 1
         raise _wrong(f"{plain(toml.file)}:{line}: not TOML, at the end of the file: {what}") from error
-    except (ValueError, RecursionError) as error:  # tomllib lets these through: endless digits, endless brackets.
+    except (ValueError, RecursionError) as error:  # raised by tomllib for very many digits or brackets
         raise _wrong(f"{plain(toml.file)}: not TOML that can be read: {plain(str(error))}") from error
 
 
@@ -361,10 +355,9 @@ def _from_flags(flags: Mapping[str, object]) -> Iterator[Given]:
 
 
 def _typed(setting: Setting, given: object) -> object:
-    """A text from an environment variable or a flag in the setting's type; the text itself if it is wrong.
+    """Parse a text from a variable or a flag as the setting's type; returns the text itself if it is wrong.
 
-    A list is comma separated, a table is NAME=VALUE, comma separated; a list of texts, from a flag that may be
-    repeated, will do as well.
+    A list is comma separated; a table is NAME=VALUE, comma separated, or a list of these from a repeated flag.
     """
     match setting.kind, given:
         case inspect.ListType(), str(text):
@@ -393,7 +386,7 @@ def _number(text: str, *, whole: bool) -> int | float | str:
 
 
 def _pairs(items: list[str], given: object) -> object:
-    """A table of NAME=VALUE; a value is a TOML number or truth value, else a text."""
+    """Parse NAME=VALUE items; a value is a TOML number or boolean, else a text."""
     pairs: dict[str, object] = {}
     for item in items:
         name, equals, text = item.partition("=")
@@ -429,12 +422,12 @@ def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], ho
 
 
 def _bad_text(value: object) -> str:
-    """Return why a value, or a text nested in it, is unfit for a file name and for UTF-8; empty if it is fit."""
+    """Return why a text in a value cannot be a file name or UTF-8; empty if it can."""
     match value:
         case str():
             if "\0" in value:
-                return "holds a NUL character"
-            return "is not right UTF-8" if any("\ud800" <= character <= "\udfff" for character in value) else ""
+                return "contains a NUL character"
+            return "is not valid UTF-8" if any("\ud800" <= character <= "\udfff" for character in value) else ""
         case list():
             return next(filter(None, map(_bad_text, value)), "")
         case dict():
@@ -461,7 +454,7 @@ def _shown(value: object) -> str:
 
 
 def _nearest_key(key: str) -> str:
-    """The nearest right key: in the same section, else the same name in another, else by the whole key."""
+    """A hint at the nearest right key: in the same table, else the same name in another, else of all keys."""
     section, _, name = key.partition(".")
     siblings = [setting.key for setting in SETTINGS.values() if setting.section == section]
     near = get_close_matches(key, siblings, n=1, cutoff=0.75)

@@ -1,8 +1,7 @@
 """The JSON Schema of every message, request and reply: ``python -m schemas.json_schema`` writes ``schemas/json/``.
 
-They describe the MessagePack map as it decodes. A field's unit is under the keyword ``unit``. MessagePack's bytes
-have no JSON type: such a field says what it is not, and its ``contentEncoding`` holds wherever the message is
-turned into JSON text.
+They describe the decoded MessagePack map. A field's unit is under the keyword ``unit``. MessagePack's bytes have
+no JSON type: their schema excludes all other types, and ``contentEncoding`` describes them in JSON text.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ KINDS: Final[dict[str, Kind]] = (
     | {verb.reply_schema_name: verb.reply for verb in ALL_VERBS}
     | {STATEMENT_REPLY: StatementReply}
 )
-"""Every class that goes over Zenoh, by its schema's name."""
+"""Every class that is sent over Zenoh, by its schema's name."""
 
 
 def file_name(name: str) -> str:
@@ -73,7 +72,7 @@ def schema_text(name: str) -> str:
 
 
 def robot_schema_texts() -> dict[str, str]:
-    """The text of every JSON Schema of what a robot says and can be asked, by schema name."""
+    """The JSON Schemas of a robot's messages, requests and replies, as text by schema name."""
     names = {subject.schema_name: None for subject in SUBJECTS}
     for command in COMMANDS:
         names |= {command.schema_name: None, command.reply_schema_name: None}
@@ -125,7 +124,7 @@ def _with_every_field(root: Schema) -> Schema:
 
 
 def _property(part: Mapping[str, Any], about: str) -> Schema:
-    """A field: its unit and description stand at the top, whatever lists or nulls are wrapped around its type."""
+    """A field, with its unit and description at the top instead of within lists or options."""
     bare, unit, inner_about = _unwrapped(part)
     head: Schema = {}
     if about or inner_about:
@@ -152,7 +151,7 @@ def _unwrapped(part: Mapping[str, Any]) -> tuple[Schema, str, str]:
 
 
 def _sentence(text: str) -> str:
-    """A docstring's half sentence as a whole one."""
+    """Begin a docstring's text with a capital letter."""
     return text[:1].upper() + text[1:] if text else ""
 
 
@@ -161,13 +160,13 @@ def files() -> dict[str, str]:
 
 
 def stale(present: Mapping[str, str]) -> list[str]:
-    """The names of the files that are missing, out of date, or of a class that is no more."""
+    """The names of files that are missing, out of date, or of a removed class."""
     wanted = files()
     return sorted(name for name in present.keys() | wanted.keys() if present.get(name) != wanted.get(name))
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Writes the files, or with ``--check`` only says which ones are not current."""
+    """Write the files, or with ``--check`` only list those that are not current."""
     parser = argparse.ArgumentParser(description="Write the JSON Schema of every message, request and reply.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a file is not current")
     arguments = parser.parse_args(words)

@@ -1,7 +1,7 @@
-"""Keys of Zenoh, ``{root}/{robot}/{subject}``: build, parse, declare; and names of operators in them.
+"""Build, parse and declare Zenoh keys, ``{root}/{robot}/{subject}``; names of operators in them.
 
-The root is one or more chunks, the robot is one chunk of lower-case letters, digits and hyphens, the subject is
-a row of the subject table. A recorder's keys are ``{root}/@recorder/{recorder}/{subject}``.
+The root is one or more chunks, the robot one chunk, the subject a row of the subject table. A recorder's keys are
+``{root}/@recorder/{recorder}/{subject}``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LONGEST: Final = 64
 def login_operator() -> str:
     try:
         login = getpass.getuser()
-    except (KeyError, OSError):  # Nobody by this number is known, as in some containers.
+    except (KeyError, OSError):  # The user has no name, as in some containers.
         login = ""
     return fitting(login)
 
@@ -40,25 +40,22 @@ def fitting(login: str) -> str:
 
 
 ROBOT_PATTERN: Final = r"[a-z0-9-]+"
-ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"  # of a robot's name, or of several with ``*`` for any part of them
-_CHUNK_PATTERN: Final = r"([a-z0-9-]|\$\*)+"  # of the chunk that ``chunk_of`` makes of the latter
+ROBOTS_PATTERN: Final = r"[a-z0-9*-]+"  # a robot's name, or several with ``*`` for any part
+_CHUNK_PATTERN: Final = r"([a-z0-9-]|\$\*)+"  # the chunk that ``chunk_of`` makes of it
 BUS_PATTERN: Final = r"[A-Za-z0-9_.-]+"
 OPERATOR_PATTERN: Final = r"[A-Za-z0-9_.-]{1,64}"
 ROOT_PATTERN: Final = r"[A-Za-z0-9_.-]+(/[A-Za-z0-9_.-]+)*"
 
-KEY_MAX_LENGTH: Final = 1000
-"""A key that is longer is none of ours. Zenoh allows 64 KiB, which take 35 ms to look through."""
-
-KEYS_KEPT: Final = 4096
-"""Number of parsed keys kept in a cache. Parsing one takes 20 us, most of the time it takes to read a sample."""
+KEY_MAX_LENGTH: Final = 1000  # longer keys are not parsed: Zenoh allows 64 KiB, which take 35 ms
+KEYS_KEPT: Final = 4096  # parsed keys in a cache; parsing one takes 20 us, most of the time to read a sample
 
 
 class KeyParts(msgspec.Struct, frozen=True):
     """The parts of a key.
 
     Attributes:
-        robot: empty where the key is a recorder's.
-        bus: the CAN bus's name; empty where the subject has none.
+        robot: empty in a recorder's key.
+        bus: the CAN bus's name; empty if the subject has none.
     """
 
     root: str
@@ -88,7 +85,7 @@ def _compile(subject: Subject) -> re.Pattern[str]:
     return re.compile(rf"(?P<root>{ROOT_PATTERN})/(?P<robot>{ROBOT_PATTERN})/{name}")
 
 
-# The longest names first: "safety/state" is not the "state" of a robot that is called safety.
+# The longest names first: "safety/state" is not the "state" of a robot named safety.
 _PATTERNS: Final = tuple(
     (subject, _compile(subject)) for subject in sorted(SUBJECTS, key=lambda one: -one.name.count("/"))
 )
@@ -130,40 +127,36 @@ def recorder_command(root: str, recorder: str, operator: str, verb: str) -> str:
 
 
 def chunk_of(robots: str) -> str:
-    """The chunk of a key expression for a robot's name, or for several: ``cruiser-*`` is ``cruiser-$*`` there."""
+    """The chunk of a key expression for one or several robots: ``cruiser-*`` becomes ``cruiser-$*``."""
     return re.sub(r"\*+", "$*", robots) if robots.strip("*") else ALL
 
 
 def in_order(name: str) -> list[str | tuple[int, str]]:
-    """Key for sorting names as people do: ``cruiser-2`` before ``cruiser-10``."""
+    """Sort key for names: ``cruiser-2`` before ``cruiser-10``."""
     parts = re.split(r"0*([0-9]+)", name)
-    # A number of any length: the longer one is the larger one.
+    # Numbers may have any length: the longer one is larger.
     return [(len(part), part) if place % 2 else part for place, part in enumerate(parts)]
 
 
 def liveliness(root: str, robot: str = "*") -> str:
-    """The key of a gateway's liveliness token; of every gateway's with the default robot."""
+    """The key of a gateway's liveliness token, by default of every gateway's."""
     return f"{root}/{robot}/{LIVELINESS_CHUNK}"
 
 
-ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"  # the liveliness token of every gateway, whatever its root is
+ANY_TOKEN: Final = f"**/{LIVELINESS_CHUNK}"  # the liveliness token of every gateway under any root
 
 
 def robot_of_liveliness(root: str, key: str) -> str | None:
-    """The robot of a liveliness key under this root, or None if it is no such key."""
+    """The robot of a liveliness key under this root; None for any other key."""
     match = re.fullmatch(rf"{re.escape(root)}/({ROBOT_PATTERN})/{LIVELINESS_CHUNK}", key)
     return match[1] if match else None
 
 
-ALL: Final = "*"  # any robot, any operator or any verb, in a key expression
+ALL: Final = "*"  # any robot, operator or verb in a key expression
 
 
 def command(root: str, robot: str, operator: str, verb: str) -> str:
-    """The key of a verb, whatever the verb is; ALL may stand for robot, operator and verb.
-
-    Args:
-        robot: its name, or the chunk of several (``chunk_of``).
-    """
+    """The key of a verb. ALL may stand for robot, operator and verb, a ``chunk_of`` for several robots."""
     _check("root", root, ROOT_PATTERN)
     if robot != ALL:
         _check("robot", robot, _CHUNK_PATTERN)
@@ -173,7 +166,7 @@ def command(root: str, robot: str, operator: str, verb: str) -> str:
 
 
 def authority(root: str, robot: str) -> str:
-    """The key of the query that shows a robot, or all with ALL, a statement of its authority."""
+    """The key of the query that sends a robot, or all with ALL, a statement of its authority."""
     return command(root, robot, ALL, ALL).removesuffix(f"{COMMAND_CHUNK}/{ALL}/{ALL}") + AUTHORITY_CHUNK
 
 
@@ -181,7 +174,7 @@ _COMMAND: Final = re.compile(rf".+/{COMMAND_CHUNK}/([^/]+)/([^/]+)")
 
 
 def parse_command(key: str) -> tuple[str, str]:
-    """Operator and verb of a command key. Whatever is not of the form is an empty operator: never an exception."""
+    """Operator and verb of a command key, empty where they are not of their form. Never raises."""
     match = _COMMAND.fullmatch(key)
     if match is None:
         return "", ""
@@ -190,20 +183,20 @@ def parse_command(key: str) -> tuple[str, str]:
 
 
 KEYS_MAX: Final = 20_000
-"""Those of a thousand robots: 40 MB here and 32 MB in the router, and 10 s and 4 s of processor time if all come
-at once; 4,000 keys take 1.0 s and 0.5 s (Zenoh 1.10)."""
+"""Keys of a thousand robots: 40 MB here and 32 MB in the router, and 10 s and 4 s of processor time if all come at
+once; 4,000 keys take 1.0 s and 0.5 s (Zenoh 1.10)."""
 
 
 class DeclaredKeys:
-    """Declares a publisher of each key that comes, once, and never puts with it.
+    """Declares a publisher for each received key, once, and never puts with it.
 
-    Of a declared key a session remembers who is to get its samples; of others it looks for all that match, with
-    each sample anew. That would be two thirds of the desk's processor time with 200 robots, and a quarter of a
-    recorder's with ten. A publisher makes the key known to the router, too: where the robots are connected to
-    another router, it knows their prefixes alone, and would look through all of them with each sample.
+    For a declared key a Zenoh session caches the matching subscribers; for others it searches them with each
+    sample: two thirds of the desk's processor time with 200 robots, a quarter of a recorder's with ten. A
+    publisher also makes the key known to the router, which otherwise searches the prefixes of robots behind
+    another router.
 
     Args:
-        declare: the session's ``declare_publisher``. It forgets a key together with what it returned.
+        declare: the session's ``declare_publisher``; the session forgets a key when the returned object goes.
     """
 
     def __init__(self, declare: Callable[[str], object], limit: int = KEYS_MAX) -> None:
@@ -212,6 +205,6 @@ class DeclaredKeys:
         self._declared: dict[str, object] = {}
 
     def meet(self, key: str) -> None:
-        """See a sample of this key."""
+        """Declare a sample's key, unless it is declared already."""
         if key not in self._declared and len(self._declared) < self._limit:
             self._declared[key] = self._declare(key)

@@ -1,6 +1,6 @@
-"""The one table of subjects: key, type, origin, rate and quality of service.
+"""The table of subjects: key, type, rate and quality of service; and that of the verbs.
 
-Nothing else in the tree says how a subject is sent. The key table of docs/messages.md is generated from here.
+The tables in docs/messages.md and docs/commands.md are generated from here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from schemas import decisions, messages, recording, requests
 
 
 class Priority(Enum):
-    """Zenoh's priorities that are in use; the values are Zenoh's own names."""
+    """Zenoh's priorities that are in use, by Zenoh's names."""
 
     INTERACTIVE_HIGH = "INTERACTIVE_HIGH"
     DATA_HIGH = "DATA_HIGH"
@@ -24,14 +24,14 @@ class Priority(Enum):
 
 
 class Pattern(Enum):
-    """The way to read a subject: by subscribing, or by a query."""
+    """The way to read a subject."""
 
     PUBLISHED = "published"
     QUERIED = "queried"
 
 
 class Asking(Enum):
-    """The way to send a verb to a robot: by a query, whose reply gives the result, or by a put."""
+    """The way to send a verb to a robot: a query, whose reply has the result, or a put."""
 
     QUERY = "query"
     PUT = "put"
@@ -42,10 +42,9 @@ class Qos(msgspec.Struct, frozen=True):
     """Quality of service. Congestion control is always drop: a blocked put would block the loop.
 
     Attributes:
-        priority: Zenoh's priority.
-        express: sent at once instead of batched with others.
-        history: number of last samples that a late joiner can still get.
-        kept_bytes: so many bytes of its newest samples are kept, for queries on the key: see ``KEPT_FIRST``.
+        express: sent at once, not batched with others.
+        history: number of last samples that a late joiner receives.
+        kept_bytes: bytes of its newest samples that are stored for queries on the key: see ``KEPT_FIRST``.
     """
 
     priority: Priority
@@ -59,12 +58,9 @@ class Subject(msgspec.Struct, frozen=True):
 
     Attributes:
         name: the part of the key after ``{root}/{robot}/``; ``{bus}`` stands for a CAN bus's name.
-        type: the message class.
-        about: its description, for people.
-        rate: the rate of samples, for people.
-        qos: quality of service.
-        dbc_message: the frame of the DBC that it decodes; empty if it decodes none.
-        pattern: the way to read it.
+        about: description for the documents.
+        rate: rate of samples for the documents.
+        dbc_message: name of the DBC frame that it decodes; empty if there is none.
     """
 
     name: str
@@ -88,23 +84,19 @@ class Subject(msgspec.Struct, frozen=True):
 SCHEMA_PREFIX: Final = "cruiser"
 
 SAFETY_HISTORY: Final = 1000
-"""Decisions and events for late joiners and those whose link was cut.
-
-They come all at once, and so are no more than a link's queue takes; the rest comes in pieces, see ``KEPT_FIRST``.
-"""
+"""Decisions and events for late joiners and after a lost link. They are sent at once and have to fit into a link's
+queue; older ones are available by query, see ``KEPT_FIRST``."""
 
 SAFETY_KEPT_BYTES: Final = 2_000_000  # some 5,000 decisions
-
-JOURNAL_KEPT_BYTES: Final = 16_000_000
-"""The last ten minutes at the nominal load of a bus, the last minute at a saturated one."""
-
-AUTHORITY_KEPT_BYTES: Final = 1_000_000  # statements of an hour, those in use among them
+JOURNAL_KEPT_BYTES: Final = (
+    16_000_000  # the last ten minutes at a bus's nominal load, the last minute at full load
+)
+AUTHORITY_KEPT_BYTES: Final = 1_000_000  # statements of an hour, including those in use
 
 KEPT_FIRST: Final = "first"
-"""A query ``{key}?first=N`` on what is kept gives the samples from sequence N on, or from the oldest."""
+"""A query ``{key}?first=N`` for stored samples returns those from sequence N on, or from the oldest."""
 
-KEPT_PIECE: Final = 16
-"""Samples that such a query gives at most, each as a reply of its own. Nothing is replied without N."""
+KEPT_PIECE: Final = 16  # most samples that such a query returns, each in its own reply; without N it returns none
 
 _FEEDBACK: Final = Qos(Priority.DATA)
 
@@ -127,21 +119,21 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     Subject(
         "chassis/odometry",
         messages.Odometry,
-        "pose, way and speeds from drive and steering feedback, with variances that grow",
+        "pose, distance and speeds from drive and steering feedback, with growing variances",
         "50 Hz while the speed is known",
         _FEEDBACK,
     ),
     Subject(
         "can/{bus}/rx",
         messages.CanFrames,
-        "every frame received, raw, in batches; lossless, with receive times",
+        "every received frame, raw, in batches, with receive times",
         "20 Hz",
         Qos(Priority.DATA_LOW),
     ),
     Subject(
         "can/{bus}/tx",
         messages.CanFrames,
-        "every frame sent, raw, in batches",
+        "every sent frame, raw, in batches",
         "20 Hz while there are any",
         Qos(Priority.DATA_LOW),
     ),
@@ -155,36 +147,36 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     Subject(
         "safety/state",
         decisions.SafetyState,
-        "the arbiter: who holds the lease, the limits in force, the challenge to echo, why it stands still",
+        "the arbiter: holder of the lease, limits in force, challenge to echo, why the robot stands still",
         "20 Hz, 50 Hz while engaged, and on change",
         Qos(Priority.INTERACTIVE_HIGH, express=True, history=1),
     ),
     Subject(
         "safety/decision",
         decisions.Decision,
-        "every decision: request, verdict, reason, what was sent",
+        "every decision: request, verdict, reason, frames sent",
         "each",
         Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY, kept_bytes=SAFETY_KEPT_BYTES),
     ),
     Subject(
         "safety/event",
         decisions.SafetyEvent,
-        "what a person should know: stops, latches, faults, takeovers",
+        "events for people: stops, latches, faults, takeovers",
         "each",
         Qos(Priority.DATA_HIGH, history=SAFETY_HISTORY, kept_bytes=SAFETY_KEPT_BYTES),
     ),
     Subject(
         "journal",
         decisions.Journal,
-        "all that the core was given, in its order: enough to run it again",
+        "all inputs of the core, in order: enough to rerun it",
         "20 Hz",
         Qos(Priority.DATA_LOW, kept_bytes=JOURNAL_KEPT_BYTES),
     ),
     Subject(
         "authority/statement",
         decisions.SignedStatement,
-        "grants and revocations that the robot has taken over, with their signatures; in signed mode alone",
-        "each, and every minute those in use",
+        "grants and revocations that the robot accepted, with their signatures; only in signed mode",
+        "each, and those in use every minute",
         Qos(Priority.DATA_LOW, history=64, kept_bytes=AUTHORITY_KEPT_BYTES),
     ),
     Subject(
@@ -204,31 +196,28 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     ),
 )
 
-LIVELINESS_CHUNK: Final = "gateway"
-"""The liveliness token ``{root}/{robot}/gateway``: connected. Never proof of health."""
-
-RECORDER_CHUNK: Final = "@recorder"
-"""A verbatim chunk of Zenoh: a recorder's keys begin ``{root}/@recorder/{recorder}``."""
+LIVELINESS_CHUNK: Final = "gateway"  # the token ``{root}/{robot}/gateway``: connected, which is no proof of health
+RECORDER_CHUNK: Final = "@recorder"  # verbatim chunk in a recorder's keys, ``{root}/@recorder/{recorder}``
 
 RECORDER_SUBJECTS: Final[tuple[Subject, ...]] = (
     Subject(
         "health",
         recording.RecorderHealth,
-        "what a recorder does, what it got and what it lost, its disk",
+        "the recorder's state, what it received and lost, its disk",
         "1 Hz",
         Qos(Priority.BACKGROUND),
     ),
     Subject(
         "event",
         recording.RecorderEvent,
-        "what a person should know: incidents, a full disk, logs that were deleted",
+        "events for people: incidents, a full disk, deleted logs",
         "each",
         Qos(Priority.DATA_HIGH),
     ),
     Subject(
         "gap",
         recording.RecordGap,
-        "messages of a key that reached the recorder and are not in its log",
+        "messages of a key that the recorder received and that are not in its log",
         "each",
         Qos(Priority.DATA_LOW),
     ),
@@ -239,22 +228,19 @@ ALL_SUBJECTS: Final = SUBJECTS + RECORDER_SUBJECTS
 BY_NAME: Final = {subject.name: subject for subject in SUBJECTS}
 BY_DBC_MESSAGE: Final = {subject.dbc_message: subject for subject in SUBJECTS if subject.dbc_message}
 BY_TYPE: Final = {subject.type: subject for subject in reversed(ALL_SUBJECTS)}
-"""A type's first subject: frames are received before they are sent."""
+"""A type's first subject: for CanFrames, that of received frames."""
 
 
 ReplyType = TypeVar("ReplyType", bound=decisions.Reply | recording.RecorderReply)
 
 
 class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
-    """A request that a robot or a recorder accepts: a row of a command table.
+    """A row of a command table: a request that a robot or a recorder accepts.
 
     Attributes:
         verb: the last chunk of the key ``{root}/{robot}/@cmd/{operator}/{verb}``.
-        request: the class of its payload.
-        reply: the class of the reply to a query.
-        about: its effect, for people.
-        asking: the way to send it.
-        engaged_only: refused as long as the robot is not engaged.
+        about: its effect, for the documents.
+        engaged_only: refused while the robot is not engaged.
     """
 
     verb: str
@@ -282,57 +268,57 @@ class Verb(msgspec.Struct, Generic[ReplyType], frozen=True):
 
 
 Command = Verb[decisions.Reply]  # a verb of a robot
-
 RecorderCommand = Verb[recording.RecorderReply]  # a verb of a recorder, always a query
-COMMAND_CHUNK: Final = "@cmd"  # a verbatim chunk of Zenoh: no wildcard reaches a command by accident
-
-AUTHORITY_CHUNK: Final = "@auth"
-"""A verbatim chunk of Zenoh: the query ``{root}/{robot}/@auth`` shows a robot a statement of its authority."""
-
+COMMAND_CHUNK: Final = "@cmd"  # verbatim chunk: no wildcard matches a command by accident
+AUTHORITY_CHUNK: Final = "@auth"  # verbatim chunk of the query ``{root}/{robot}/@auth`` with a statement
 STATEMENT_REPLY: Final = f"{SCHEMA_PREFIX}.{decisions.StatementReply.__name__}"
-
 STATEMENT_REPLY_ENCODING: Final = f"application/msgpack;{STATEMENT_REPLY}/{decisions.StatementReply.version}"
 
-TEXT_MAX_BYTES: Final = 16_384  # no statement of an authority with its chain is longer
-SIGNED: Final = ("safety/state", "state")  # subjects that people decide by: in signed mode each sample is signed
+TEXT_MAX_BYTES: Final = 16_384  # of a statement
+SIGNED: Final = ("safety/state", "state")  # subjects whose samples are signed in signed mode
 
 STOP_VERB: Final = "stop"
 RESET_ODOMETRY_VERB: Final = "reset_odometry"
-DRIVE_VERB: Final = "drive"  # the verb that is taken from anyone, as a put too
+DRIVE_VERB: Final = "drive"
 
 COMMAND_QOS: Final = Qos(Priority.INTERACTIVE_HIGH, express=True)
 
 _Reply, _LeaseReply = decisions.Reply, decisions.LeaseReply
 
 COMMANDS: Final[tuple[Command, ...]] = (
-    Command("acquire", requests.Acquire, _LeaseReply, "the lease, if nobody holds it"),
-    Command("renew", requests.Renew, _LeaseReply, "keep the lease; driving does so too"),
+    Command("acquire", requests.Acquire, _LeaseReply, "get the lease, if it is free"),
+    Command("renew", requests.Renew, _LeaseReply, "extend the lease, as driving does"),
     Command("release", requests.Release, _Reply, "give the lease back; an engaged robot is stopped"),
     Command(
         "take",
         requests.Take,
         _LeaseReply,
-        "the lease, from whoever holds it in no higher role; of a robot that moves with `override` alone; an "
-        "engaged robot is stopped",
+        "get the lease from a holder of no higher role; while the robot moves, only with `override`; an engaged "
+        "robot is stopped",
     ),
-    Command("engage", requests.Engage, _Reply, "take command of the standing chassis; replies when it reads auto"),
+    Command(
+        "engage",
+        requests.Engage,
+        _Reply,
+        "take command of the standing chassis; the reply comes when it reads auto",
+    ),
     Command("disengage", requests.Disengage, _Reply, "stop in a controlled way and give up command"),
-    Command(STOP_VERB, requests.Stop, _Reply, "the remote stop, from anyone; latched", Asking.EITHER),
-    Command("reset", requests.Reset, _Reply, "clear what is latched"),
+    Command(STOP_VERB, requests.Stop, _Reply, "the remote stop, for every client; latched", Asking.EITHER),
+    Command("reset", requests.Reset, _Reply, "clear latched stops"),
     Command("park", requests.Park, _Reply, "apply the parking brake, at any speed", engaged_only=True),
     Command(
         "unpark", requests.Unpark, _Reply, "allow drive commands to release the parking brake", engaged_only=True
     ),
-    Command("light", requests.Light, _Reply, "headlamp and indicators", engaged_only=True),
-    Command("horn", requests.Horn, _Reply, "the horn", engaged_only=True),
+    Command("light", requests.Light, _Reply, "set headlamp and indicators", engaged_only=True),
+    Command("horn", requests.Horn, _Reply, "switch the horn", engaged_only=True),
     Command(
         "clear_odometer",
         requests.ClearOdometer,
         _Reply,
-        "total mileage to zero; replies when it reads so",
+        "set the total mileage to zero; the reply comes when it reads zero",
         engaged_only=True,
     ),
-    Command(RESET_ODOMETRY_VERB, requests.ResetOdometry, _Reply, "the pose of `chassis/odometry` to zero"),
+    Command(RESET_ODOMETRY_VERB, requests.ResetOdometry, _Reply, "set the pose of `chassis/odometry` to zero"),
     Command(DRIVE_VERB, requests.Drive, _Reply, "the stream that moves the robot, 10 to 50 Hz", Asking.PUT),
 )
 
@@ -341,8 +327,8 @@ BY_VERB: Final = {command.verb: command for command in COMMANDS}
 _RecorderReply = recording.RecorderReply
 
 RECORDER_COMMANDS: Final[tuple[RecorderCommand, ...]] = (
-    RecorderCommand("status", recording.Status, _RecorderReply, "how the recorder is"),
-    RecorderCommand("mark", recording.Mark, _RecorderReply, "keep what was received around now as an incident"),
+    RecorderCommand("status", recording.Status, _RecorderReply, "get the recorder's health"),
+    RecorderCommand("mark", recording.Mark, _RecorderReply, "record the time around now as an incident"),
 )
 
 ALL_VERBS: Final[tuple[Verb[Any], ...]] = (*COMMANDS, *RECORDER_COMMANDS)

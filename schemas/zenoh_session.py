@@ -1,7 +1,7 @@
-"""Zenoh sessions: the one place that makes their configuration, and opens and closes them.
+"""Configure, open and close Zenoh sessions; no other module does.
 
-Multicast scouting is off and gossip is on: nodes find each other through those they are connected to. A lease
-of 1 s and a fast reconnection keep a stalled link from delivering old samples in a burst.
+Multicast scouting is off and gossip is on: nodes find each other through nodes that they are connected to. A lease
+of 1 s and fast reconnection prevent a stalled link from delivering old samples in a burst.
 """
 
 from __future__ import annotations
@@ -26,23 +26,18 @@ RECONNECT_MIN_MS: Final = 100
 RECONNECT_MAX_MS: Final = 500
 
 SCOUTING_MS: Final = 50
-"""The longest wait of a session that opens for the nodes that it connects to.
+"""Longest wait of an opening session for the nodes that it connects to.
 
-Zenoh's own is 500 ms, and Zenoh 1.10 often waits for all of it although everybody is connected: an initial
-declaration that comes before the connection is noted down is not counted. Who is farther away connects later, and
-``finds_router`` waits for that.
+Zenoh's default is 500 ms, which Zenoh 1.10 often uses up although all nodes are connected: it misses initial
+declarations that precede the connection's registration. Slower nodes connect later; ``finds_router`` waits for
+them.
 """
 
-OPEN_TIMEOUT_MS: Final = 2000  # the period in which a new connection must speak Zenoh, or it is closed
-
-ACCEPT_PENDING: Final = 500
-"""Connections that have not said yet who they are: as many as a stranger must hold open to keep others out."""
-
+OPEN_TIMEOUT_MS: Final = 2000  # time for a new connection's handshake
+ACCEPT_PENDING: Final = 500  # most connections during their handshake
 ROUTER_LOOKS: Final = 50
-LOOK_EVERY_S: Final = 0.01  # a router that is there is connected by the last look
-
-QUEUE_BATCHES: Final = 8
-"""Batches of 64 KiB that may wait on a link for each priority. A put never waits for room, it drops."""
+LOOK_EVERY_S: Final = 0.01  # with ROUTER_LOOKS: half a second for a router to connect
+QUEUE_BATCHES: Final = 8  # batches of 64 KiB in a link's queue of each priority; a put to a full queue is dropped
 
 ANY_LOCAL_PORT: Final = "tcp/127.0.0.1:0"
 
@@ -83,18 +78,15 @@ def session_settings(
     says: Says = nothing_said,
     own: Mapping[str, Json] | None = None,
 ) -> dict[str, Json]:
-    """Return our values for Zenoh's configuration, on top of the user's file or of Zenoh's start values.
+    """Return our values for Zenoh's configuration, by path (``scouting/multicast/enabled``).
 
-    The file's values are kept, except for what ours override: the endpoints to connect to if any are given here, a
-    mode or a lease that a source of the settings gave, and always the endpoints to listen on.
+    A value in the user's file takes precedence, except over endpoints to connect to that are given here, a mode or
+    lease that is set, and the endpoints to listen on.
 
     Args:
-        settings: their own ``connect`` and ``listen`` are not read here.
-        connect: endpoints to connect to; retried for ever, in the background.
-        own: values of this kind of session, in place of those of all, or beside them.
-
-    Returns:
-        Values by their path in Zenoh's configuration, ``scouting/multicast/enabled``.
+        settings: their ``connect`` and ``listen`` are not used.
+        connect: endpoints to connect to, retried for ever in the background.
+        own: further values for this kind of session.
     """
     given = {
         MODE: "mode" in settings.given,
@@ -119,8 +111,7 @@ def said(settings: ZenohSettings, of_file: Callable[[str], Json]) -> ZenohChoice
     """Return a session's mode and endpoints; a client listens on nothing.
 
     Args:
-        of_file: the file's own value at a path; None if it sets none. Zenoh's start value, which listens on every
-            address, does not count.
+        of_file: returns the file's value at a path; None for none, or for Zenoh's default.
     """
     files = of_file(MODE)
     mode = settings.mode if "mode" in settings.given or files is None else str(files)
@@ -156,21 +147,20 @@ def split_endpoint(endpoint: str) -> tuple[str, str, int]:
 def with_port(endpoint: str, port: int) -> str:
     parts = _parts(endpoint)
     if port > _HIGHEST_PORT:
-        raise ValueError(f"{endpoint} has the last port that there is")
+        raise ValueError(f"{endpoint} has the last port, so no other is next to it")
     return f"{endpoint[: parts.start('port')]}{port}{endpoint[parts.end('port') :]}"
 
 
 def next_ports(listen: list[str]) -> list[str]:
-    """Return the endpoints for a second session beside a first: the same addresses, one port on; port 0 stays."""
+    """Return endpoints for a second session: the same addresses with the next port; port 0 stays."""
     ports = [(one, split_endpoint(one)[2]) for one in listen]
     return [with_port(one, port + 1 if port else 0) for one, port in ports]
 
 
 def own_endpoint(listen: str) -> str:
-    """An endpoint that is listened on, as another session of the same process connects to it.
+    """The endpoint by which another session of this process connects to an endpoint that is listened on.
 
-    Every address includes the loopback one. Certificates are held against the authority's all the same, but need
-    not carry the name of an address that is this process's own.
+    Certificates are verified, but need not contain the name of the process's own address.
     """
     parts = _ENDPOINT.fullmatch(listen)
     if parts is None:
@@ -186,18 +176,18 @@ def is_loopback(endpoint: str) -> bool:
 
 
 def reason(message: str) -> str:
-    """Return the cause in an error message of Zenoh, in one line, without the places in Zenoh's source."""
+    """Return the cause in a Zenoh error message, in one line, without places in Zenoh's source."""
     text = " ".join(re.sub(r" at /\S+?\.rs:\d+\.?", "", message).split())
     nested = re.search(r'msg: "([^"]*)', text)
     return plain(nested[1] if nested else text).strip()
 
 
 class SessionError(CommandError):
-    """A session that could not be opened: Zenoh says of certificates and keys neither which nor why.
+    """A session that could not be opened. For certificates and keys Zenoh's error names no file and no cause.
 
     Attributes:
         config: the Zenoh file of the session; empty without one.
-        is_unanswered: the session would have opened, if anybody had answered and let it in.
+        is_unanswered: no node accepted the connection.
     """
 
     def __init__(self, what: str, message: str, config: str = "") -> None:
@@ -214,15 +204,13 @@ def open_session(
     own: Mapping[str, Json] | None = None,
     changes: Mapping[str, Json] | None = None,
 ) -> zenoh.Session:
-    """Open a session.
-
-    A peer's session opens although nobody answers, and goes on trying in the background.
+    """Open a session. A peer's session opens without any connection, and keeps trying in the background.
 
     Args:
-        settings: their own ``connect`` and ``listen`` are not read here.
-        connect: endpoints to connect to; those of the Zenoh configuration file if it is empty.
-        own: values of this kind of session, by path, where the file sets none.
-        changes: values by path, over all else.
+        settings: their ``connect`` and ``listen`` are not used.
+        connect: endpoints to connect to; if empty, those of the Zenoh configuration file.
+        own: values for this kind of session, by path, where the file sets none.
+        changes: values by path that override all others.
     """
     config = _configuration(settings, connect, listen, own)
     enter(config, changes or {})
@@ -232,10 +220,10 @@ def open_session(
 def join(
     settings: ZenohSettings, listen: Sequence[str] = (), *, own: Mapping[str, Json] | None = None
 ) -> zenoh.Session:
-    """Open a session that connects where the settings say, or else to this machine's gateway.
+    """Open a session that connects to the endpoints in the settings, or else to this machine's gateway.
 
-    A Zenoh router passes nothing from one peer to another (measured with 1.10.2): a session that listens on
-    nothing and finds a router becomes its client, unless the settings say which mode it is to be.
+    A Zenoh router forwards nothing between peers (measured with 1.10.2): a session that listens on nothing and
+    finds a router becomes its client, unless the settings give a mode.
     """
     endpoints, choice = client_endpoints(settings), said_of(settings)
     session = open_session(settings, endpoints, listen, own=own)
@@ -255,20 +243,20 @@ def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:
 
 
 def close_session(session: zenoh.Session) -> None:
-    """Leave Zenoh. Never raises."""
+    """Close a session. Never raises."""
     try:
         session.close()
-    except zenoh.ZError as error:  # The session is of no use any more either way.
+    except zenoh.ZError as error:  # The session is not used any more either way.
         log.debug("closing Zenoh: %s", error)
 
 
 def is_connected(session: zenoh.Session) -> bool:
-    """Return True if any Zenoh node is connected directly. A peer's session is open although none is."""
+    """Return True if a Zenoh node is connected directly; a peer's session can be open without one."""
     return bool(session.info.peers_zid() or session.info.routers_zid())
 
 
 def base_configuration(file: str) -> zenoh.Config:
-    """Read the user's Zenoh file; Zenoh's own start values without one."""
+    """Read the user's Zenoh file; without one, Zenoh's defaults."""
     if not file:
         return zenoh.Config()
     try:
@@ -291,18 +279,18 @@ def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
 
 
 def of_file(settings: ZenohSettings, path: str) -> Json:
-    """Return what the configuration file says at a path; None if it is nothing, or Zenoh's own start value."""
+    """Return the configuration file's value at a path; None for none, or for Zenoh's default."""
     return _said_at(base_configuration(settings.config), path)
 
 
 def said_of(settings: ZenohSettings) -> ZenohChoice:
-    """Return a session's mode and endpoints, from the settings or else from the Zenoh configuration file."""
+    """Return a session's mode and endpoints, from the settings or else from the Zenoh file."""
     config = base_configuration(settings.config)
     return said(settings, lambda path: _said_at(config, path))
 
 
 def client_endpoints(settings: ZenohSettings) -> list[str]:
-    """Return where a session connects that only talks to robots, or only listens to them."""
+    """Return the endpoints to connect to, for any process but a gateway."""
     return said_of(settings).connect or [DEFAULT_ENDPOINT]
 
 
@@ -311,20 +299,20 @@ def place(settings: ZenohSettings) -> str:
 
 
 def is_allowed(settings: ZenohSettings, endpoint: str) -> bool:
-    """Return True if the protocols that the configuration file allows include that of this endpoint."""
+    """Return True if the configuration file allows this endpoint's protocol."""
     protocols = of_file(settings, PROTOCOLS)
     return not isinstance(protocols, list) or endpoint.partition("/")[0] in protocols
 
 
 def lease_in_force_ms(settings: ZenohSettings) -> int:
-    """The lease of a session of these settings, which the configuration file may say."""
+    """The lease of a session with these settings and their Zenoh file."""
     return int(json.loads(_configuration(settings, [], []).get_json(LEASE)))
 
 
 def local_port(settings: ZenohSettings) -> list[str]:
-    """A free port of this machine's loopback address, for others on it, where nothing is said of listening.
+    """A free port of the loopback address, for other processes on this machine.
 
-    None for a client, for who connects to another machine, and where the protocols do not allow it.
+    None for a client, for a session that connects to another machine, and where the protocols do not allow it.
     """
     is_local = all(map(is_loopback, client_endpoints(settings)))
     if said_of(settings).mode == "client" or not is_local or not is_allowed(settings, ANY_LOCAL_PORT):
@@ -333,7 +321,7 @@ def local_port(settings: ZenohSettings) -> list[str]:
 
 
 def with_free_ports(listen: list[str]) -> list[str]:
-    """The endpoints, with a port that is free in place of 0, so that it can be told and connected to."""
+    """The endpoints with a free port in place of port 0."""
     return [_with_free_port(one) if ":0" in one else one for one in listen]
 
 
@@ -378,16 +366,16 @@ def _places(text: str) -> list[str]:
 
 
 def _nobody(text: str) -> str:
-    """Zenoh's cause; in plain words where no endpoint answered."""
+    """Explain an error in which no endpoint answered; else return it unchanged."""
     places = _places(text)
     if not places:
         return text
     where = ", ".join(places)
     if not any(place.startswith(WITH_NAMES) for place in places):
-        return f"nobody answers at {where}: look at the router or gateway there, and at the network"
+        return f"no answer from {where}: check the router or gateway there, and the network"
     return (
-        f"nobody at {where} lets this machine in: no router runs there, it is another fleet's, or a certificate "
-        "is over; look there"
+        f"no connection to {where}: check there whether a router runs, whether it belongs to this fleet, and its "
+        "certificate"
     )
 
 
@@ -401,7 +389,7 @@ def _endpoints(value: Json, mode: str) -> list[str]:
 def _parts(endpoint: str) -> re.Match[str]:
     parts = _ENDPOINT.fullmatch(endpoint)
     if parts is None:
-        fault = "has no port" if "/" in endpoint else "is no endpoint, as tcp/127.0.0.1:7447 is"
+        fault = "has no port" if "/" in endpoint else "is not an endpoint, such as tcp/127.0.0.1:7447"
         raise ValueError(f"{plain(endpoint)} {fault}")
     return parts
 
@@ -410,7 +398,7 @@ def _entries(settings: ZenohSettings, connect: Sequence[str], listen: Sequence[s
     return {
         MODE: settings.mode,
         CONNECT: list(connect),
-        # By mode, whoever says which it is.
+        # For each mode, since the file may set it.
         CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 0},
         "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
         "connect/retry": {
@@ -427,12 +415,12 @@ def _entries(settings: ZenohSettings, connect: Sequence[str], listen: Sequence[s
         "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
         "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,
         "transport/unicast/accept_pending": ACCEPT_PENDING,
-        # Whoever shares memory with a process can end it, by cutting the memory off, and can fill it.
+        # A process that shares memory with another can fill it, and can kill the other by truncating it.
         "transport/shared_memory/enabled": False,
         LEASE: settings.lease_ms,
         "transport/link/tx/keep_alive": 4,
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-        # Zenoh's own one batch drops a command whenever the one before it is still being sent.
+        # With Zenoh's default of one batch, a command is dropped while the one before it is being sent.
         "transport/link/tx/queue/size/interactive_high": QUEUE_BATCHES,
         "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
         "transport/link/tx/queue/size/data": QUEUE_BATCHES,

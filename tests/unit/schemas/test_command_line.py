@@ -56,7 +56,7 @@ def test_what_is_no_file_is_named_with_its_kind(tmp_path: Path) -> None:
         (place, "a socket"),
         (Path("/dev/zero"), "a device"),
     ):
-        with pytest.raises(CommandError, match=f"is {kind}, and has to be a regular file") as caught:
+        with pytest.raises(CommandError, match=f"is {kind}, not a regular file") as caught:
             check_regular(path, path.stat().st_mode)
         assert caught.value.code is ExitCode.USAGE
         assert str(caught.value).isprintable()

@@ -165,7 +165,7 @@ def test_feedback_that_is_needed_cannot_be_left_out(name: str) -> None:
     """Row 'engage: every feedback that chassis.required_feedback names': more may be named, and not less."""
     needed = [one for one in NEEDED_FEEDBACK if one != name]
     with pytest.raises(
-        CommandError, match=rf"chassis\.required_feedback .* leaves out {name}: no robot"
+        CommandError, match=rf"chassis\.required_feedback .* leaves out {name}, which every robot needs"
     ) as caught:
         merge(None, {}, {"chassis.required_feedback": needed})
     assert caught.value.code is ExitCode.USAGE

@@ -81,7 +81,7 @@ def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own:
     [
         ("tcp/127.0.0.1:65535", "has the last port"),
         ("unixsock-stream//run/robot.sock", "has no port"),
-        ("nonsense", "nonsense is no endpoint, as tcp/127.0.0.1:7447 is"),
+        ("nonsense", "nonsense is not an endpoint, such as tcp"),
     ],
 )
 def test_where_no_port_comes_next_there_is_none(listen: str, fault: str) -> None:

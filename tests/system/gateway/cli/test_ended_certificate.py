@@ -95,9 +95,9 @@ def test_a_recorder_waits_for_its_router(
     monkeypatch.setenv("CRUISER_ZENOH_MODE", "client")
     endpoint = free_endpoint()
     words = ["--connect", endpoint, "--out", str(tmp_path / "logs")]
-    away = rf"nobody answers at {endpoint}: look at the router .*; off the network until then"
+    away = rf"no answer from {endpoint}: check the router .*; off the network until then"
 
-    status = f"STATUS=standby, off the network: cannot open Zenoh: nobody answers at {endpoint}"
+    status = f"STATUS=standby, off the network: cannot open Zenoh: no answer from {endpoint}"
     with Running("record", *words) as recorder:
         recorder.wait_says(away)
         assert status in systemd.recv(1000).decode()
@@ -111,7 +111,7 @@ def test_a_recorder_waits_for_its_router(
         with closing(open_local_router(endpoint)):
             recorder.wait_says("record: waiting for samples of ")
             wait_until(lambda: systemd.recv(1000).endswith(b"STATUS="))
-            assert len([line for line in recorder.said if "nobody answers" in line]) == 1, recorder.said
+            assert len([line for line in recorder.said if "no answer from" in line]) == 1, recorder.said
             recorder.stop()
 
 
@@ -120,7 +120,7 @@ def test_by_hand_it_ends_with_the_same_line(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setenv("CRUISER_ZENOH_MODE", "client")
     endpoint = free_endpoint()
     with Running("record", "--connect", endpoint, "--out", str(tmp_path)) as recorder:
-        recorder.wait_says(f"cruiser record: cannot open Zenoh: nobody answers at {endpoint}: look at ")
+        recorder.wait_says(f"cruiser record: cannot open Zenoh: no answer from {endpoint}: check ")
         assert recorder.process.wait(30) == ExitCode.UNREACHABLE
 
 

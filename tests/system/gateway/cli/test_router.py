@@ -66,7 +66,7 @@ def test_a_stop_that_cannot_be_sent_says_so_first(tmp_path: Path, robot: str, sa
             (place / name).write_bytes((foreign / name).read_bytes())
 
     for change, code, cause in (
-        (nothing, 4, f"nobody at {network.endpoint} lets this machine in: "),
+        (nothing, 4, f"no connection to {network.endpoint}: "),
         (exchange, 2, "is of another network than"),
         ((place / "operator-tls.key").unlink, 2, "operator-tls.key is not there"),
     ):

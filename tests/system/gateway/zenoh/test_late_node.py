@@ -19,7 +19,7 @@ from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.waiting import wait_until
 
-CAUSE = "nobody answers"
+CAUSE = "no answer from"
 
 
 @pytest.fixture(autouse=True)
