@@ -43,9 +43,7 @@ def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -
     scene.check_stays(outside, stood_s + 1)
     last = outside.lives[-1]
     box.cut_power()
-    box.boot()
-    box.wait_up()
-    box.wait_status()
+    scene.start(box)
     scene.check_log(box, last)
     scene.check_doctor(box, f"SIG{signal}, power cut", {**scene.POWER_CUT, "latched": "the guard has stopped"})
 
@@ -78,9 +76,7 @@ def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> No
     gone = {"interface_missing": "can0", "gateway_missing": "cruiser-1", "service_not_active": "cruiser-gateway"}
     scene.check_doctor(box, "interface gone", gone)
     box.cut_power()
-    box.boot()
-    box.wait_up()
-    box.wait_status()
+    scene.start(box)
     scene.check_log(box, last)
     scene.check_doctor(box, "interface gone, power cut", scene.POWER_CUT)
     scene.check_stays(outside, stood_s + 1, 1)
@@ -151,9 +147,7 @@ def test_a_clock_that_is_set_back(box: Box, outside: Outside) -> None:
     scene.check_doctor(box, "clock set back", {"clock_set_back": "by 36"}, or_else="clock_behind")
     scene.check_stays(outside, stood_s + 1)
     box.cut_power()
-    box.boot()
-    box.wait_up()
-    box.wait_status()
+    scene.start(box)
     scene.check_log(box, before)
     scene.check_log(box, last)
     scene.check_stays(outside, stood_s + 1, 1)

@@ -24,8 +24,6 @@ def test_desk_and_exporter_answer_and_come_back(box: Box, outside: Outside) -> N
 
     box.cut_power()
     since_s = time.monotonic()
-    box.boot()
-    box.wait_up()
-    box.wait_status()
+    scene.start(box)
     scene.ask_fleet(box, "power cut", logs=True)
     scene.check_stays(outside, since_s, 1)

@@ -7,6 +7,7 @@ from typing import Final
 from gateway.authority.enrolment import TransportRole
 
 ROBOT, OTHER, OPERATOR, VIEWER, RECORDER, DESK = "robot", "other", "operator", "viewer", "recorder", "desk"
+NOTHING: Final = "nothing"
 ROLES: Final = {
     ROBOT: TransportRole.ROBOT,
     OTHER: TransportRole.ROBOT,
@@ -14,6 +15,7 @@ ROLES: Final = {
     VIEWER: TransportRole.VIEWER,
     RECORDER: TransportRole.RECORDER,
     DESK: TransportRole.DESK,
+    NOTHING: TransportRole.NOTHING,
 }
 PEOPLE: Final = {OPERATOR, VIEWER, DESK}
 COMMANDING: Final = {OPERATOR, DESK}

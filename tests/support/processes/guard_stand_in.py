@@ -2,9 +2,8 @@
 
 Usage: python -m tests.support.processes.guard_stand_in HOST:PORT SPEED_MPS
 
-Prints what happens, a line each. SIGUSR1: its gate refuses everything. SIGUSR2: it disables the chassis, then
-falls silent. SIGTERM: it ends as a gateway does. Each of its bursts ends with a light frame that switches the lamp
-on, which the guard never does.
+Prints what happens, a line each. SIGUSR2: it disables the chassis, then falls silent. SIGTERM: it ends as a
+gateway does. Each of its bursts ends with a light frame that switches the lamp on, which the guard never does.
 """
 
 from __future__ import annotations
@@ -33,13 +32,12 @@ class StandIn:
             gateway=GatewaySettings(realtime_priority=0),
         )
         self.driving = Actuation(enabled=True, gear=GearPosition.DRIVE, speed_mps=speed_mps, parking=False)
-        self.is_mute = self.is_quiet = self.is_resting = self.is_ended = False
+        self.is_quiet = self.is_resting = self.is_ended = False
         self.late_ns = 0
-        for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM):
+        for number in (signal.SIGUSR2, signal.SIGTERM):
             signal.signal(number, self._receive)
 
     def _receive(self, number: int, _frame: FrameType | None) -> None:
-        self.is_mute |= number == signal.SIGUSR1
         self.is_resting |= number == signal.SIGUSR2
         self.is_ended |= number == signal.SIGTERM
 
@@ -65,18 +63,11 @@ class StandIn:
                 if self.is_resting:
                     resting_ticks += 1
                     actuation = AT_REST if resting_ticks < RESTING_TICKS else None
-            if actuation is not None and not self.is_mute:
+            if actuation is not None:
                 frames = maker.make(actuation, [LAMP], Variant.COARSE)
                 maker.sent(frames[: bus.send(frames)])
                 told_ns = time.monotonic_ns()
-            guard.tell(
-                time.monotonic_ns(),
-                Variant.COARSE,
-                actuation,
-                maker.counters,
-                told_ns=told_ns,
-                is_mute=self.is_mute and actuation is not None,
-            )
+            guard.tell(time.monotonic_ns(), Variant.COARSE, actuation, maker.counters, told_ns=told_ns)
             for name, value in (
                 ("guard", guard.pid),
                 ("watching", guard.look().is_watching),

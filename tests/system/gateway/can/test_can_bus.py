@@ -9,13 +9,14 @@ import termios
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 
 import pytest
 
 from gateway.can.can_bus import (
     SEND_TIMEOUT_US,
     SEND_WAITING_MAX_BYTES,
+    Bus,
     BusLost,
     CanBus,
 )
@@ -37,11 +38,15 @@ def waiting_bytes(stream: socket.socket) -> int:
     return int(count)
 
 
+def opened(channel: str) -> Bus:
+    return open_bus(CanSettings(interface="socketcand", channel=channel))
+
+
 def test_no_server_is_a_lost_bus() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(BusLost, match="no server there"):
-            open_bus(CanSettings(interface="socketcand", channel=f"127.0.0.1:{taken.getsockname()[1]}"))
+            opened(f"127.0.0.1:{taken.getsockname()[1]}")
 
 
 @contextmanager
@@ -101,19 +106,16 @@ def test_a_server_that_does_not_open_the_bus_is_told(
 ) -> None:
     monkeypatch.setattr("gateway.can.can_bus.HANDSHAKE_TIMEOUT_S", 0.5)
     with server(greeting, answers, answer) as (channel, _), pytest.raises(BusLost, match=f"{channel}: .*{why}"):
-        open_bus(CanSettings(interface="socketcand", channel=channel))
+        opened(channel)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "[::1]"])
 def test_frames_right_behind_the_handshake_are_frames(host: str) -> None:
     with server(b"< hi >", last=b"< frame 18C4D1EF 23.424242 0102030405060708 >", host=host) as (channel, _):
-        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
-        try:
+        with closing(opened(channel)) as bus:
             frame = bus.receive(DEADLINE_S)
-            assert frame is not None
-            assert (frame.can_id, frame.data) == (EXTENDED | 0x18C4D1EF, bytes(range(1, 9)))
-        finally:
-            bus.close()
+        assert frame is not None
+        assert (frame.can_id, frame.data) == (EXTENDED | 0x18C4D1EF, bytes(range(1, 9)))
 
 
 @pytest.mark.parametrize(
@@ -130,25 +132,18 @@ def test_frames_right_behind_the_handshake_are_frames(host: str) -> None:
 def test_a_message_that_cannot_be_read_costs_no_other(broken: bytes) -> None:
     frame = b"< frame 18C4D1EF 23.424242 0102030405060708 >"
     with server(b"< hi >", last=frame + broken + frame + frame) as (channel, _):
-        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
-        try:
+        with closing(opened(channel)) as bus:
             received = [bus.receive(DEADLINE_S) for _ in range(2)]
-            assert all(one is not None and one.data == bytes(range(1, 9)) for one in received)
-            assert bus.drops == 1
-        finally:
-            bus.close()
+        assert all(one is not None and one.data == bytes(range(1, 9)) for one in received)
+        assert bus.drops == 1
 
 
 def test_a_server_that_hangs_up_is_a_lost_bus() -> None:
-    with server(b"< hi >") as (channel, hang_up):
-        bus = open_bus(CanSettings(interface="socketcand", channel=channel))
-        try:
-            assert bus.receive(0.01) is None
-            hang_up()
-            with pytest.raises(BusLost, match="closed the connection"):
-                wait_until(lambda: bus.receive(0.01) is not None)
-        finally:
-            bus.close()
+    with server(b"< hi >") as (channel, hang_up), closing(opened(channel)) as bus:
+        assert bus.receive(0.01) is None
+        hang_up()
+        with pytest.raises(BusLost, match="closed the connection"):
+            wait_until(lambda: bus.receive(0.01) is not None)
 
 
 BURST = [Frame(EXTENDED | 0x18C4D1D0 + 0x10000 * number, bytes(8)) for number in range(5)]
@@ -197,16 +192,16 @@ class DeafServer:
 
 def test_a_server_that_reads_nothing_neither_holds_the_loop_nor_gets_stale_commands() -> None:
     deaf = DeafServer()
-    opened = open_bus(CanSettings(interface="socketcand", channel=deaf.channel))
-    assert isinstance(opened, CanBus)
-    stream = opened._socket
+    below = opened(deaf.channel)
+    assert isinstance(below, CanBus)
+    stream = below._socket
     assert stream is not None
     # The kernel holds whoever sends for so long, in whole ticks of its own, and no longer.
     kept_s, kept_us = struct.unpack("@ll", stream.getsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, 16))
     assert kept_s == 0
     assert SEND_TIMEOUT_US <= kept_us <= SEND_TIMEOUT_US + 10_000
     assert stream.gettimeout() is None, "or Python waits by itself, without that bound"
-    bus = ReconnectingBus(never_opened, opened)
+    bus = ReconnectingBus(never_opened, below)
     taken = 0
 
     def sent() -> int:

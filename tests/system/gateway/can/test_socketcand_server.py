@@ -14,7 +14,6 @@ from gateway.can.socketcand_server import (
 )
 from gateway.chassis.frame import EXTENDED, Frame
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
-from tests.support.waiting import wait_until
 
 FRAME = Frame(0x18C4D1EF | EXTENDED, bytes(8), 1_000_000_000)
 LINE = b"< frame 18C4D1EF 1.000000 0000000000000000 >"
@@ -108,17 +107,6 @@ def test_a_client_that_does_not_read_is_cut_off(server: SocketcandServer) -> Non
             client.close()
         while server.clients:
             turn(server)
-
-
-def test_a_client_that_vanishes_is_forgotten(running: Served) -> None:
-    with running.bus() as bus:
-        with running.raw() as client:
-            client.sendall(b"< open can0 >< rawmo")
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
-        with running.raw():
-            pass
-        wait_until(lambda: running.server.clients == 1)
-        assert receive(bus, lambda _message: True)
 
 
 def test_the_number_of_clients_is_bounded(server: SocketcandServer) -> None:

@@ -99,13 +99,6 @@ def end_after_a_pause() -> StopOutcome:
         return next(ends[line] for line in running.said if line in ends)
 
 
-def test_a_gateway_whose_gate_refuses_everything_is_stopped_for() -> None:
-    with watched() as running:
-        running.send_signal(signal.SIGUSR1)
-        wait_stopped(running)
-        running.wait_says(f"cause {Cause.MUTE.value}")
-
-
 def test_nothing_is_sent_while_the_loop_lives_and_signals_do_not_end_the_guard() -> None:
     with watched() as running:
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):

@@ -2,7 +2,6 @@
 
 from itertools import pairwise
 
-import can
 import pytest
 from can.interfaces.socketcand.socketcand import (
     convert_ascii_message_to_can_message,
@@ -12,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.can.can_bus import epoch_ns, frame_of, send_line
-from gateway.can.python_can import to_frame
+from gateway.can.python_can import to_frame, to_message
 from gateway.can.socketcand_server import (
     ECHO,
     MAX_MESSAGE_BYTES,
@@ -32,6 +31,7 @@ NOISE = st.binary(max_size=40) | st.lists(WORDS, max_size=40).map(b"".join) | st
 
 can_ids = st.integers(0, 0x7FF) | st.integers(0, 0x1FFF_FFFF).map(lambda number: number | EXTENDED)
 sendable = st.builds(Frame, can_id=can_ids, data=st.binary(max_size=8))
+remote = st.builds(lambda can_id, length: Frame(can_id | REMOTE, b"", 0, 0, length), can_ids, st.integers(1, 8))
 
 
 def joined() -> ServerConnection:
@@ -81,20 +81,9 @@ def test_what_is_wrong_is_answered_by_an_error(data: bytes) -> None:
     assert is_error(last)
 
 
-@given(frame=sendable)
+@given(frame=sendable | remote)
 def test_it_understands_what_python_can_sends(frame: Frame) -> None:
-    message = can.Message(
-        arbitration_id=frame.identifier, is_extended_id=bool(frame.can_id & EXTENDED), data=frame.data
-    )
-    assert convert_can_message_to_ascii_message(message).encode() == send_line(frame)
-    assert joined().receive_bytes(send_line(frame)) == [frame]
-
-
-def test_it_understands_python_cans_remote_frame() -> None:
-    """A length without data."""
-    message = can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4)
-    frame = Frame(0x123 | REMOTE, b"", remote_length=4)
-    assert convert_can_message_to_ascii_message(message).encode() == send_line(frame)
+    assert convert_can_message_to_ascii_message(to_message(frame)).encode() == send_line(frame)
     assert joined().receive_bytes(send_line(frame)) == [frame]
 
 
@@ -146,14 +135,14 @@ def test_segments_do_not_matter(data: bytes, cuts: list[int]) -> None:
     assert [event for piece in pieces for event in cut_up.receive_bytes(piece)] == whole.receive_bytes(data)
 
 
-def test_a_lost_end_costs_one_message() -> None:
-    assert joined().receive_bytes(b"< send 123 1 < echo >") == [ECHO]
-
-
 def test_a_fault_may_be_asked_for_at_any_time() -> None:
     asked = [FaultAsked("bumper front on")]
     assert ServerConnection().receive_bytes(b"<  fault  bumper front on >") == asked
     assert joined().receive_bytes(b"< fault bumper front on >") == asked
+
+
+def test_a_lost_end_costs_one_message() -> None:
+    assert joined().receive_bytes(b"< send 123 1 < echo >") == [ECHO]
 
 
 @given(reason=st.text(max_size=1000))

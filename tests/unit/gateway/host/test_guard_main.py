@@ -15,7 +15,7 @@ from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
 from gateway.guard.stopper import Beat, Cause, GuardStatus, StopOutcome
 from gateway.host.guard_main import Heartbeat, run
-from schemas.messages import GearPosition, Mode, Variant
+from schemas.messages import GearPosition, Variant
 from schemas.settings import CommandSettings
 from tests.support.frames import Feedback
 from tests.support.rigs.guard import DRIVING
@@ -115,15 +115,6 @@ def test_what_came_while_the_guard_stood_still_is_not_believed(monkeypatch: pyte
     guardian = live(world)
     assert world.frames == []
     assert not guardian.view.has_feedback(world.now_ns)
-
-
-def test_frames_are_heard_and_an_idle_guard_leaves_without_a_word() -> None:
-    world = World(Beat(1))
-    guardian = live(world)
-    assert guardian.view.has_feedback(0)
-    assert guardian.view.mode(0) is Mode.STOP
-    assert world.sent == []
-    assert world.said == []
 
 
 TIMES_NS = st.integers(0, 2**62)

@@ -139,7 +139,7 @@ def test_certificates_and_grants_say_when_they_end_and_what_is_wrong(tmp_path: P
     assert "ends in 5.0 days; 'cruiser provision renew robot' asks for another" in soon.warning
     over = problems(now_s + 91 * DAY_S)
     assert "ended 61.0 days ago; 'cruiser provision renew robot'" in over[0]
-    assert "the grant is over" in over[1]
+    assert "the grant has expired" in over[1]
     (directory / "robot-tls.key").chmod(0o644)
     (directory / "robot.grant").unlink()
     shown, missing = problems(now_s)

@@ -1,7 +1,7 @@
 """Faults: grammar, effects and ends."""
 
-import itertools
 import re
+from ast import literal_eval
 from itertools import pairwise
 
 import pytest
@@ -12,19 +12,15 @@ from gateway.chassis.frame import ERROR, EXTENDED, FaultKind, Frame, FrameFault
 from gateway.chassis.layout import Decoded, checksum
 from gateway.sim.disturbances import (
     GRAMMAR,
-    ChassisFault,
-    Contact,
     FaultLine,
     FaultTextError,
-    Foreign,
-    Sticks,
     parse,
     parse_address,
     parse_scheduled,
     show_address,
 )
 from schemas.command_line import CommandError
-from schemas.messages import Variant
+from tests.support import SUPPORT
 from tests.support.rigs.chassis import ChassisRig, S
 
 GEAR = "Auto_GearFeedBack"
@@ -153,101 +149,21 @@ def test_a_fault_with_a_duration_ends_by_itself(text: str, ends_s: float) -> Non
     assert rig.chassis._disturbances.quiet
 
 
-STRANGE = 0x18C4D6EF | EXTENDED
-
-RIGHT = {
-    f"silence {GEAR} for 2s": FaultLine(ChassisFault("silence", (GEAR,)), 2 * S),
-    "checksum auto_gearfeedback": FaultLine(ChassisFault("checksum", (GEAR,))),
-    f"stuck {GEAR} for 3 frames": FaultLine(ChassisFault("stuck", (GEAR,)), 0, 3),
-    f"skip {GEAR}": FaultLine(ChassisFault("skip", (GEAR,), 2)),
-    "skip all by 5 for 500ms": FaultLine(ChassisFault("skip", ("all",), 5), S // 2),
-    "drop all every 10 for 1min": FaultLine(ChassisFault("drop", ("all",), 10), 60 * S),
-    f"drop {GEAR} next 4": FaultLine(ChassisFault("drop", (GEAR,)), 0, 4),
-    "silence all off": FaultLine(ChassisFault("silence", ("all",), ended=True)),
-    f"freeze {GEAR} for 3 frames": FaultLine(ChassisFault("freeze", (GEAR,)), 0, 3),
-    "foreign 123": FaultLine(ChassisFault("foreign", (0x123,), Foreign(0x123))),
-    "foreign 0x18C4D6EF 00ff every 1.5s": FaultLine(
-        ChassisFault("foreign", (STRANGE,), Foreign(STRANGE, b"\x00\xff", 3 * S // 2))
-    ),
-    "foreign 7ff error": FaultLine(ChassisFault("foreign", (0x7FF,), Foreign(0x7FF | ERROR))),
-    "foreign 200 off": FaultLine(ChassisFault("foreign", (0x200,), ended=True)),
-    "bumper front on": FaultLine(ChassisFault("bumper", ("front",), Contact(hit=True))),
-    "Bumper BOTH off": FaultLine(ChassisFault("bumper", ("front", "rear"), Contact(hit=False), ended=True)),
-    "bumper rear on bounce for 2s": FaultLine(
-        ChassisFault("bumper", ("rear",), Contact(hit=True, bounces=True)), 2 * S
-    ),
-    "bumper rear off bounce": FaultLine(ChassisFault("bumper", ("rear",), Contact(hit=False, bounces=True))),
-    "transmitter remote": FaultLine(ChassisFault("transmitter")),
-    "transmitter command": FaultLine(ChassisFault("transmitter", ended=True)),
-    "sticks -0.5 +10": FaultLine(ChassisFault("sticks", value=Sticks(-0.5, 10.0))),
-    "scale wrong": FaultLine(ChassisFault("scale")),
-    "scale right": FaultLine(ChassisFault("scale", ended=True)),
-    "variant fine": FaultLine(ChassisFault("variant", value=Variant.FINE)),
-    "slope -30 for 2s": FaultLine(ChassisFault("condition", ("slope_deg",), -30.0), 2 * S),
-    "payload 100": FaultLine(ChassisFault("condition", ("payload_kg",), 100.0)),
-    "pedal 0.3": FaultLine(ChassisFault("condition", ("pedal_gain",), 0.3)),
-    "motor 0.5": FaultLine(ChassisFault("condition", ("motor_strength",), 0.5)),
-    "brake 0.2": FaultLine(ChassisFault("condition", ("parking_grip",), 0.2)),
-    "reboot": FaultLine(ChassisFault("reboot")),
-    "reboot for 3s": FaultLine(ChassisFault("reboot"), 3 * S),
-    "clear": FaultLine(ChassisFault("clear")),
-}
-
-WRONG = {
-    "no fault": ("", "bumpr front on", "+1s clear"),
-    "did you mean 'bumper'?": ("bumpr front on",),
-    f"did you mean '{GEAR}'?": ("silence Auto_GearFeedbak", "silence Auto_GearCmd"),
-    "there are: Auto_GearFeedBack, Auto_SteeringFeedBack, ": ("silence zzz",),
-    "is not of the form 'bumper front|rear|both on|off [bounce]'": (
-        *("bumper frot on", "bumper front", "bumper front on bouncing", "bumper front off for 2s"),
-    ),
-    "is not of the form 'silence MESSAGE'": (
-        *("silence", f"silence {GEAR} for ever", f"silence {GEAR} for 0s", f"silence {GEAR} for"),
-        *(f"silence {GEAR} for 2s now", f"silence {GEAR} off for 2s"),
-    ),
-    "is not of the form 'drop MESSAGE": (
-        f"drop {GEAR}",
-        f"drop {GEAR} every 0",
-        f"drop {GEAR} next 1 for 1 frames",
-    ),
-    "is not of the form 'skip MESSAGE [by N]'": (f"skip {GEAR} by x",),
-    "is not of the form 'foreign ID": (
-        *("foreign 800", "foreign 20000000", "foreign 1234", "foreign 123 xyz", "foreign 123 001122334455667788"),
-    ),
-    "is not of the form 'sticks SPEED_MPS ANGLE_DEG'": ("sticks 1", "sticks nan 0"),
-    "is not of the form 'slope DEG', from -30 to 30": (
-        "slope",
-        "slope 30.1",
-        "slope steep",
-        "slope 1 for 3 frames",
-    ),
-    "'payload KG', from 0 to 100": ("payload -1",),
-    "from 0 to 1": ("pedal 1.1", "motor 2", "brake -0.1"),
-    "'variant coarse|fine'": ("variant medium",),
-    "'transmitter remote|command'": ("transmitter remoto",),
-    "'clear'": ("clear for 2s",),
-}
-"""Parts of the reason, and the lines that give it."""
+LINES = SUPPORT.parent / "data" / "faults.txt"
+"""Lines, scheduled or not, and their meaning or error; ``python -m tests.unit.gateway.sim.test_disturbances``."""
 
 
-@pytest.mark.parametrize(("text", "line"), RIGHT.items())
-def test_a_line_says_what_it_says(text: str, line: FaultLine) -> None:
-    assert parse(text) == line
+def lines() -> dict[str, str]:
+    rows = (row.partition(": ") for row in LINES.read_text("utf-8").splitlines())
+    return {literal_eval(text): meaning for text, _, meaning in rows}
 
 
-@pytest.mark.parametrize(("text", "hint"), [(text, hint) for hint, texts in WRONG.items() for text in texts])
-def test_a_wrong_line_names_what_is_wrong_and_the_right_form(text: str, hint: str) -> None:
-    error = parse(text)
-    assert isinstance(error, FaultTextError)
-    assert hint in error.reason
+@pytest.mark.parametrize(("text", "meaning"), lines().items())
+def test_a_line_means_this_or_its_error_shows_the_right_form(text: str, meaning: str) -> None:
+    assert str(parse_scheduled(text)) == meaning
 
 
-@given(
-    st.text()
-    | st.lists(
-        st.sampled_from([*" ".join([*RIGHT, *itertools.chain(*WRONG.values())]).split(), "é", "\ud800"])
-    ).map(" ".join)
-)
+@given(st.text() | st.lists(st.sampled_from([*" ".join(lines()).split(), "é", "\ud800"])).map(" ".join))
 def test_no_text_raises(text: str) -> None:
     """Faults may come from the network."""
     outcome = parse(text)
@@ -260,22 +176,7 @@ def test_no_text_raises(text: str) -> None:
 
 def test_the_help_names_every_fault() -> None:
     shown = set(re.findall(r"^ {2}(\w+)", GRAMMAR, re.MULTILINE))
-    assert shown == {text.split()[0].lower() for text in RIGHT}
-
-
-@pytest.mark.parametrize(
-    ("text", "after_ns"),
-    [("3s bumper front on", 3 * S), (" 0.5s  clear", S // 2), ("clear", 0), ("250ms clear", S // 4)],
-)
-def test_a_scheduled_fault_has_its_delay_first(text: str, after_ns: int) -> None:
-    fault = parse_scheduled(text)
-    assert isinstance(fault, FaultLine)
-    assert fault.after_ns == after_ns
-
-
-@pytest.mark.parametrize("text", ["3 bumper front on", "3s", "3s bumpr front on", "", "-1s clear"])
-def test_a_wrong_schedule_is_an_error(text: str) -> None:
-    assert isinstance(parse_scheduled(text), FaultTextError)
+    assert shown == {text.split()[0].lower() for text in lines() if isinstance(parse(text), FaultLine)}
 
 
 @pytest.mark.parametrize(
@@ -291,3 +192,7 @@ def test_an_address_reads_and_shows_the_same(text: str, address: tuple[str, int]
 def test_what_is_no_address_is_a_usage_error(text: str) -> None:
     with pytest.raises(CommandError, match="HOST:PORT"):
         parse_address(text)
+
+
+if __name__ == "__main__":
+    LINES.write_text("".join(f"{text!r}: {parse_scheduled(text)}\n" for text in lines()), "utf-8")

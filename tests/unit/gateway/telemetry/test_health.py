@@ -1,5 +1,6 @@
 """The gateway's health, each second, and the whole robot in one message."""
 
+from enum import Enum
 from typing import Any, Final
 
 import msgspec
@@ -91,28 +92,33 @@ AT_REST: Final[list[Feedback]] = [
 ]
 """A message of each class in which every signal is off, 0 or at rest."""
 
-SIGNALS: Final[list[tuple[type[Feedback], str, Any]]] = [
-    (Body, "mode", Mode.AUTO),
-    (Gear, "gear_position", GearPosition.DRIVE),
-    (Drive, "speed_mps", 0.04),
-    (Steering, "angle_deg", -3.5),
-    (WheelSpeed, "rear_left_speed_mps", 0.04),
-    (WheelSpeed, "rear_right_speed_mps", -0.04),
-    (WheelPulse, "rear_left_pulses", 7),
-    (WheelPulse, "rear_right_pulses", -7),
-    (Braking, "braking_status", BrakingStatus.BRAKING),
-    (Parking, "parking_status", ParkingStatus.APPLIED),
-    (Body, "total_mileage_km", 12.5),
-    (Body, "front_bumper", True),
-    (Body, "rear_bumper", True),
-    (Light, "headlamp", True),
-    (Light, "right_indicator", True),
-    (Light, "left_indicator", True),
-    (Speaker, "horn", True),
+
+def another(value: object) -> object:
+    """A value of the same type that no message at rest has."""
+    match value:
+        case bool():
+            return not value
+        case Enum():
+            return next(one for one in type(value) if one not in {value, getattr(type(value), "UNDEFINED", None)})
+        case int():
+            return 7
+    return 0.04
+
+
+SIGNALS: Final = [
+    (type(message), name, another(getattr(message, name)))
+    for message in AT_REST
+    for name in message.__struct_fields__
+    if name in {*RobotState.__struct_fields__} - {*COMMON}
 ]
-"""The class, its field, which is also that of the state, and a value that no message at rest has."""
+"""The class, its field, which is also that of the state, and another value."""
 
 FIELDS: Final = [name for _, name, _ in SIGNALS]
+
+
+def test_the_state_has_the_signals_of_all_messages() -> None:
+    derived = {*COMMON, "bus_up", "variant", "silent", "yaw_rate_radps"} - {"alive_counter"}
+    assert sorted(FIELDS) == sorted({*RobotState.__struct_fields__} - derived)
 
 
 def state_of(messages: list[Feedback]) -> RobotState:
