@@ -59,17 +59,14 @@ class Asked(msgspec.Struct):
 
     @property
     def selection(self) -> Selection:
-        """All topics of the requested time."""
         return Selection(from_ns=self.from_ns, to_ns=self.to_ns)
 
     @property
     def bytes(self) -> int:
-        """The size of all files."""
         return sum(log.bytes for log in self.logs)
 
 
 def add_logs(parser: argparse.ArgumentParser, *, json_help: str = JSON_HELP) -> None:
-    """Declare LOG and --json."""
     parser.add_argument(
         "logs",
         nargs="+",
@@ -91,7 +88,6 @@ def log_place(text: str) -> Path | StoreAddress:
 
 
 def add_robots(parser: argparse.ArgumentParser) -> None:
-    """--robot."""
     parser.add_argument(
         "--robot",
         action="append",
@@ -117,7 +113,6 @@ def in_short(names: Sequence[str]) -> str:
 
 
 def add_period(parser: argparse.ArgumentParser) -> None:
-    """--from and --to."""
     parser.add_argument("--from", dest="from_time", metavar="TIME", help=f"start at this time: {FORMS}")
     parser.add_argument("--to", dest="to_time", metavar="TIME", help="end before this time")
 
@@ -161,7 +156,6 @@ def find(
 def stored_logs(
     addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
 ) -> list[LogFile]:
-    """Copies of the logs at addresses in object stores."""
     with needing_extra():
         from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
     bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)

@@ -43,7 +43,6 @@ DESCRIPTION: Final = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line")
     add_period(parser)
     add_robots(parser)
@@ -58,7 +57,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Print the timeline as it is read."""
     asked = find(arguments, settings, stopped)
     robots = survey(asked.logs, Faults()).robots if arguments.robot else []
     wanted, kinds = chosen_robots(arguments.robot, robots), frozenset(map(EntryKind, arguments.kind))

@@ -38,13 +38,11 @@ _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_f
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help=JSON_HELP)
     add_robots(parser)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Show all logs, broken ones as far as they can be read."""
     asked = find(arguments, settings, stopped)
     infos: list[LogInfo | LogBrief] = []
     unfinished: set[str] = set()
@@ -75,7 +73,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def describe(info: LogInfo | LogBrief | SetInfo) -> Iterator[str]:
-    """The lines about a log, or about several together."""
     if isinstance(info, SetInfo):
         return _of_all(info)
     return _in_short(info) if isinstance(info, LogBrief) else _of_one(info)

@@ -40,7 +40,6 @@ WHYS_MAX: Final = 100
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print the summary as JSON")
     add_period(parser)
     parser.add_argument("--robot", metavar="NAME", help="only this robot")
@@ -54,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Read the logs, then write the page and print the summary."""
     out = arguments.out or (None if arguments.json else Path(DEFAULT_FILE))
     if out is not None and out.suffix != ".html":
         raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
@@ -89,7 +87,6 @@ def _selection(asked: Asked, robot: str | None) -> Selection:
 
 
 def summary(report: Report) -> dict[str, Any]:
-    """A report without its charts."""
     fields: dict[str, Any] = msgspec.structs.asdict(report)
     fields["robots"] = [
         {
@@ -126,7 +123,6 @@ def reasons(report: Report, logs: Sequence[LogFile], progress: Progress) -> dict
 
 
 def describe(report: Report, out: Path | None) -> Iterator[str]:
-    """Yield the summaries as lines, and the path of the page."""
     for robot in report.robots:
         yield f"{robot.summary.name}: {verdict(robot)}"
         yield from (f"  {name.ljust(16)} {said}" for name, said in summary_lines(robot, report))

@@ -65,7 +65,6 @@ class _QuestionParser(argparse.ArgumentParser):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the questions."""
     questions = parser.add_subparsers(
         dest="question", required=True, metavar="QUESTION", parser_class=_QuestionParser
     )
@@ -74,6 +73,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run the question."""
     module = import_module(QUESTIONS[arguments.question][0])
     return int(module.run(arguments, settings, stopped))

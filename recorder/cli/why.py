@@ -14,7 +14,7 @@ from recorder.cli.show import show
 from recorder.reading.logs import Faults, logs_of
 from recorder.reading.survey import survey
 from recorder.reading.times import FORMS, in_words, time_of
-from recorder.review.why import Explanation, explain
+from recorder.review.why import Explainer, Explanation
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import Settings
 
@@ -34,14 +34,12 @@ _WIDTH: Final = 110
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print one JSON object, with the chain as data")
     parser.add_argument("--at", metavar="TIME", help=f"the moment (default: {_LAST}): {FORMS}")
     parser.add_argument("--robot", metavar="NAME", help="the robot, if the logs hold several")
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Explain."""
     asked = find(arguments, settings, stopped)
     at_ns = None if arguments.at is None else time_of(arguments.at, asked.start_ns, asked.end_ns)
     # With hundreds of robots the others' logs need not be opened.
@@ -49,7 +47,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     found = survey(logs, asked.faults)
     robot = _robot(arguments.robot, found.robots, asked.faults)
     with progress_bar("why", asked.bytes, stopped) as progress:
-        explanation = explain(robot, logs, found, at_ns, asked.faults, progress)
+        explainer = Explainer(robot, logs, found, asked.faults, progress)
+        explanation = explainer.last() if at_ns is None else explainer.at(at_ns)
     show(record_of(explanation, asked.start_ns), describe(explanation, asked), as_json=arguments.json)
     code = end_with(asked.faults)
     return code if code or explanation.is_answered else int(ExitCode.FAILURE)
@@ -93,7 +92,6 @@ def record_of(explanation: Explanation, start_ns: int) -> dict[str, Any]:
 
 
 def describe(explanation: Explanation, asked: Asked) -> Iterator[str]:
-    """The explanation for people."""
     at_ns = explanation.at_ns
     since_s = (at_ns - asked.start_ns) / 1e9
     yield f"{explanation.robot} at {since_s:.3f} s, {in_words(at_ns)}: {explanation.headline}"

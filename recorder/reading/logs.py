@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import stat
-from array import array
 from collections import Counter
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
@@ -110,91 +109,56 @@ def logs_of(robot: str, logs: Sequence[LogFile]) -> list[LogFile]:
     return [log for log in filled if log in its or not log.robots] or filled
 
 
-Window = tuple[int, int]  # from the first to the last log time, in nanoseconds since 1970
-Times = dict[str, "array[int]"]  # of each topic the log times of its messages
-
-ANY_TIME: Final[Window] = (0, 2**64 - 1)
-
-
 def without_covered(logs: Sequence[LogFile]) -> list[LogFile]:
     """The logs of a directory without the incidents whose messages are all in its other logs.
 
     Messages are compared by topic and log time, in chunks with valid checksums.
     """
-    incidents = [log for log in logs if log.is_incident and log.end_ns]
     others = [log for log in logs if not log.is_incident]
-    held: dict[LogFile, Times] = {incident: {} for incident in incidents}
+    return [log for log in logs if log in others or not log.end_ns or not _is_covered(log, others)]
+
+
+def _is_covered(incident: LogFile, others: Sequence[LogFile]) -> bool:
+    held: Counter[tuple[str, int]] = Counter()
     for log in others:
-        within = [one for one in incidents if log.start_ns <= one.end_ns and one.start_ns <= log.end_ns]
-        found = _times_in(log, [(one.start_ns, one.end_ns) for one in within]) if within else []
-        for incident, times in zip(within, found, strict=True):
-            _add(held[incident], times)
-    return [log for log in logs if log not in held or not _is_covered(log, held[log])]
+        if log.start_ns <= incident.end_ns and incident.start_ns <= log.end_ns:
+            held |= _messages(log, incident)
+    own = _messages(incident, incident)
+    return bool(own) and own <= held
 
 
-def _add(held: Times, times: Times) -> None:
-    """Add the messages of another log, each once."""
-    for topic, more in times.items():
-        known = held.get(topic)
-        if known is None:
-            held[topic] = more
-        elif known != more:
-            held[topic] = array("Q", sorted((Counter(known) | Counter(more)).elements()))
-
-
-def _is_covered(incident: LogFile, held: Times) -> bool:
-    [own] = _times_in(incident, [ANY_TIME])
-    return bool(own) and all(_holds(held.get(topic, array("Q")), times) for topic, times in own.items())
-
-
-def _holds(held: array[int], times: array[int]) -> bool:
-    return held == times or not Counter(times) - Counter(held)
-
-
-def _times_in(log: LogFile, windows: Sequence[Window]) -> list[Times]:
-    """The sorted log times of a log's readable messages in each window."""
-    found: list[dict[int, array[int]]] = [{} for _ in windows]
+def _messages(log: LogFile, during: LogFile) -> Counter[tuple[str, int]]:
+    """Count a log's readable messages in the time of another one, by topic and log time."""
+    found: Counter[tuple[int, int]] = Counter()
     declared = Declared()
     with suppress(OSError), log.open() as stream:
         declared.take_summary(read_summary(stream))
         for piece in read_pieces(stream, log.bytes, is_verifying=False):
             if isinstance(piece, records.Schema | records.Channel):
                 declared.take(piece)
-            elif isinstance(piece, PackedChunk | MessageBlock):
-                for channel_id, entries in _index(piece, windows, declared).items():
-                    _add_inside(found, windows, channel_id, entries[::2])
-    return [_by_topic(of_window, declared) for of_window in found]
+            elif isinstance(piece, MessageBlock) or (
+                isinstance(piece, PackedChunk)
+                and piece.start_ns <= during.end_ns
+                and during.start_ns <= piece.end_ns
+            ):
+                for channel_id, entries in _index(piece, declared).items():
+                    times = (one for one in entries[::2] if during.start_ns <= one <= during.end_ns)
+                    found.update((channel_id, time_ns) for time_ns in times)
+    topics = {channel_id: topic.name for channel_id, topic in declared.topics.items()}
+    by_topic: Counter[tuple[str, int]] = Counter()
+    for (channel_id, time_ns), count in found.items():
+        if channel_id in topics:
+            by_topic[topics[channel_id], time_ns] += count
+    return by_topic
 
 
-def _add_inside(
-    found: list[dict[int, array[int]]], windows: Sequence[Window], channel_id: int, times: array[int]
-) -> None:
-    start_ns, end_ns = min(times, default=0), max(times, default=0)
-    for (first_ns, last_ns), of_window in zip(windows, found, strict=True):
-        is_all = first_ns <= start_ns and end_ns <= last_ns
-        inside = times if is_all else [one for one in times if first_ns <= one <= last_ns]
-        of_window.setdefault(channel_id, array("Q")).extend(inside)
-
-
-def _by_topic(found: dict[int, array[int]], declared: Declared) -> Times:
-    times: Times = {}
-    for channel_id, of_channel in found.items():
-        topic = declared.topics.get(channel_id)
-        if topic is not None and of_channel:
-            times.setdefault(topic.name, array("Q")).extend(of_channel)
-    return {topic: array("Q", sorted(unsorted)) for topic, unsorted in times.items()}
-
-
-def _index(piece: PackedChunk | MessageBlock, windows: Sequence[Window], declared: Declared) -> Index:
-    """The places of a piece's messages; empty for a chunk outside all windows, or a damaged one."""
-    if isinstance(piece, PackedChunk):
-        if not any(piece.start_ns <= last_ns and first_ns <= piece.end_ns for first_ns, last_ns in windows):
-            return {}
-        if piece.index is not None and piece.index.keys() <= declared.topics.keys():
-            with suppress(DamagedError):
-                piece.unpack()
-                return piece.index
-            return {}
+def _index(piece: PackedChunk | MessageBlock, declared: Declared) -> Index:
+    """The places of a piece's messages; empty for a damaged chunk."""
+    if isinstance(piece, PackedChunk) and piece.index is not None and piece.index.keys() <= declared.topics.keys():
+        with suppress(DamagedError):
+            piece.unpack()
+            return piece.index
+        return {}
     index, others = piece.read_index()
     for one in others:
         if not isinstance(one, Fault):
@@ -234,7 +198,6 @@ def find_logs(
 
 
 def _with_namesakes(logs: list[LogFile]) -> list[LogFile]:
-    """The logs with their ``namesakes``."""
     roots = Counter(name for _, name in {robot for log in logs for robot in log.robots})
     namesakes = frozenset(name for name, count in roots.items() if count > 1)
     return [msgspec.structs.replace(log, namesakes=namesakes) for log in logs] if namesakes else logs

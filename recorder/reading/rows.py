@@ -348,7 +348,6 @@ def _places(stream: BinaryIO, summary: LogSummary) -> tuple[dict[int, int], dict
 
 
 def _times(stream: BinaryIO, channel_id: int, offset: int, contents: Contents) -> list[int]:
-    """The log times of a message index; empty if it is not there."""
     record = _record(stream, offset, records.MessageIndex)
     if record is not None and record.channel_id == channel_id and record.records:
         return [time_ns for time_ns, _ in record.records]

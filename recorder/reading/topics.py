@@ -164,7 +164,6 @@ class Topic(msgspec.Struct, frozen=True, eq=False):
 def topic_of(
     channel: records.Channel, schema: records.Schema | None, namesakes: frozenset[str] = frozenset()
 ) -> Topic:
-    """The topic of a channel record."""
     name = "" if schema is None else schema.name
     is_protobuf = channel.message_encoding == "protobuf"
     kind = _BY_SCHEMA.get(name) if is_protobuf else None
@@ -244,7 +243,6 @@ def typed_decoder(kind: type[msgspec.Struct], descriptors: bytes = b"") -> Decod
 
 
 def _builder(kind: type[msgspec.Struct], descriptors: bytes) -> Callable[[Any], Any]:
-    """Compile the conversion of a protobuf message into the class."""
     names: dict[str, Any] = {"Kind": kind}
     parts = [_expression(name, field, names, descriptors) for name, _, field in fields(kind)]
     source = f"lambda m: Kind({', '.join(parts)})"

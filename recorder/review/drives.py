@@ -56,7 +56,6 @@ _IN_OTHER_TABLES: Final = frozenset({EntryKind.REFUSAL, EntryKind.REQUEST})
 
 
 def operators_stops(stops: Mapping[str, int]) -> int:
-    """The number of stops by operators among these, by cause."""
     return sum(count for cause, count in stops.items() if cause in BY_OPERATORS)
 
 
@@ -112,7 +111,6 @@ class SpeedMeter:
 
     @property
     def distance_m(self) -> float:
-        """The distance, forward and in reverse."""
         return self.way.distance_m
 
     def add(self, time_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
@@ -146,7 +144,6 @@ class SpeedMeter:
         return step_m
 
     def miss(self, span_ns: int) -> None:
-        """Add a time without data."""
         self.gaps += 1
         self.gap_ns += max(0, span_ns)
 
@@ -179,11 +176,9 @@ class RecordedDrive(msgspec.Struct):
     worst_ns: int = 0
 
     def is_near(self, time_ns: int) -> bool:
-        """True for a time within its margins."""
         return self.start_ns - MARGIN_NS <= time_ns <= self.end_ns + MARGIN_NS
 
     def take(self, entry: Entry) -> None:
-        """Add an entry of its time."""
         self.stops += entry.is_stop
         self.ends += entry.kind is EntryKind.END
         if _weight(entry) > 2 * _RANKS[self.severity] + self.is_stop:
@@ -241,7 +236,6 @@ class Drives:
         return step_m
 
     def command(self, time_ns: int, log_ns: int) -> None:
-        """Note that it was commanded or moved."""
         now = self._now
         if now is None or not now.start_ns - REST_NS <= time_ns <= now.end_ns + REST_NS:
             now = self._now = RecordedDrive(time_ns, time_ns, log_ns, log_ns)
@@ -275,7 +269,6 @@ class Drives:
                 return
 
     def fall_silent(self, outage: Outage) -> None:
-        """Add an outage of the gateway."""
         if len(self.outages) < GAPS_MAX:
             self.outages.append(outage)
         else:
@@ -283,16 +276,13 @@ class Drives:
 
     @property
     def now(self) -> RecordedDrive | None:
-        """The newest drive."""
         return self._now
 
     @property
     def more_entries(self) -> int:
-        """Number of entries that were not kept."""
         return self.counts.total() - len(self.entries)
 
     def drives(self) -> list[RecordedDrive]:
-        """The drives, by time."""
         return sorted(self._drives, key=lambda one: one.start_ns)
 
     def _keep(self, entry: Entry) -> None:

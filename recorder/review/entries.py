@@ -70,7 +70,6 @@ class RobotClock:
         self._is_settled = False
 
     def is_other_run(self, tick: int) -> bool:
-        """True if the tick is of another run than the last state."""
         return self._tick is not None and not is_same_run(tick, self._tick)
 
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
@@ -108,7 +107,6 @@ class RobotClock:
         self.offset_ns = 0 if 0 <= self._least_ns <= NEAR_NS else self._least_ns
 
     def _news(self) -> str:
-        """A sentence about the offset; empty if it has not changed."""
         if abs(self.offset_ns - self._told_ns) <= NEAR_NS:
             return ""
         self._told_ns = self.offset_ns
@@ -170,7 +168,6 @@ ENDS: Final = STOPS | {EntryKind.END}
 
 
 def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
-    """The kind of an entry for this reason: a requested end is no stop."""
     return EntryKind.END if kind is EntryKind.STOP and reason in AS_ASKED else kind
 
 
@@ -399,7 +396,6 @@ class Sequences:
         self._told: list[SequenceHole] = []
 
     def add(self, sequence: int, time_ns: int) -> None:
-        """Add a sample."""
         pieces = self._pieces
         at = bisect_right(pieces, sequence, key=itemgetter(0))
         if at and sequence <= pieces[at - 1][1]:

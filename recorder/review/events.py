@@ -76,7 +76,6 @@ _EXPECTED: Final = frozenset({Reason.STOPPING, Reason.ENGAGING, Reason.ALREADY_E
 
 
 def is_within(entry: Entry, selection: Selection) -> bool:
-    """True if an entry lies in the time of a selection."""
     return entry.time_ns < selection.to_ns and entry.last_ns >= selection.from_ns
 
 
@@ -179,7 +178,6 @@ class RobotTrack:
         return self.clock.place(row.publish_ns, row.log_ns, tick)
 
     def count(self, row: Row, tick: int, time_ns: int) -> None:
-        """Count a sample of a subject that should be complete in the log."""
         self._sequences.setdefault((row.topic.name, self.run_of(tick)), Sequences()).add(row.sequence, time_ns)
 
     def order_ns(self, time_ns: int, tick: int | None = None) -> int:
@@ -195,7 +193,6 @@ class RobotTrack:
 
     @property
     def is_active(self) -> bool:
-        """True if the newest gateway commanded the chassis."""
         return self.state is not None and self.state.state is not ArbiterState.STANDBY
 
     @property
@@ -206,7 +203,6 @@ class RobotTrack:
         return f"{self.state.state.value}, commanded {self.state.output_speed_mps:.2f} m/s"
 
     def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
-        """Take the arbiter's newest state."""
         if not self._holders or self._holders[-1][1] != state.lease_holder:
             if self._holders and state.tick < self._holders[-1][0]:
                 self._holders.clear()
@@ -223,7 +219,6 @@ class RobotTrack:
         return self._holders[at - 1][1] if at else ""
 
     def holes(self) -> Iterator[Entry]:
-        """Yield an entry for each range of missing events and decisions."""
         for (topic, _), sequences in self._sequences.items():
             for hole in sequences.holes():
                 text = f"{hole.count} samples of {topic} are not in the log"
@@ -283,7 +278,6 @@ class Timeline:
                 self._hold(entry)
 
     def robot(self, name: str) -> RobotTrack:
-        """The track of a robot."""
         found = self._robots.get(name)
         if found is None:
             found = self._robots[name] = RobotTrack(name)
@@ -450,7 +444,6 @@ class Timeline:
         self._hold(_entry(robot.name, EntryKind.GATEWAY, time_ns, text))
 
     def _take_other_run(self, robot: RobotTrack, time_ns: int) -> None:
-        """The first state of another run."""
         left, active = robot.left, robot.is_active
         severity = Severity.INFO if robot.is_ended else Severity.ERROR if active else Severity.WARNING
         robot.begun, robot.died, robot.doubtful = [], None, None

@@ -158,7 +158,6 @@ def _absurd(window: EvidenceWindow, name: str) -> Iterator[Link]:
 
 
 def _speeds(window: EvidenceWindow) -> list[Link]:
-    """The speeds of wheels, drive feedback and command."""
     wheels, drive, state = window.last(WheelSpeed), window.last(Drive), window.last(SafetyState, window.at_ns - 1)
     if wheels is None or drive is None:
         return [missing("the chassis's speeds before this")]
@@ -191,7 +190,6 @@ def _steering(window: EvidenceWindow) -> list[Link]:
 
 
 def _frozen(window: EvidenceWindow) -> list[Link]:
-    """The mileage, which did not change while the robot drove."""
     body = window.last(Body)
     if body is None or "mileage" not in window.detail:
         return _speeds(window)
@@ -200,7 +198,6 @@ def _frozen(window: EvidenceWindow) -> list[Link]:
 
 
 def _commanders(window: EvidenceWindow) -> list[Link]:
-    """Command frames on the bus that the gateway did not send."""
     near = window.commands_between(window.at_ns - COMMANDER_NS, window.at_ns + 1)
     if not near:
         return [missing("the other computer's frames")]
@@ -257,7 +254,6 @@ def _bus(window: EvidenceWindow) -> list[Link]:
 
 
 def _load(window: EvidenceWindow) -> list[Link]:
-    """The rate of frames, and the load of the gateway."""
     found = []
     if window.has_frames:
         waiting = sum(len(window.waiting(identifier)) for identifier in BY_IDENTIFIER)
@@ -269,7 +265,6 @@ def _load(window: EvidenceWindow) -> list[Link]:
 
 
 def _unsent(window: EvidenceWindow) -> list[Link]:
-    """The number of frames that were sent."""
     short = [
         one for one in window.until(Decision) if one.time_ns > window.at_ns - 10**9 and one.said.frames_sent < 5
     ]
@@ -395,8 +390,6 @@ def refused_lately(window: EvidenceWindow) -> list[Link]:
 
 
 def _refused(reason: Reason) -> Finder:
-    """The requests that were refused for this reason."""
-
     def found(window: EvidenceWindow) -> list[Link]:
         return _refusals_of(window, [one for one in _refused_until(window, 0) if one.said.reason is reason])
 
@@ -534,5 +527,4 @@ EVIDENCE: Final[dict[Reason, Finder]] = {
 
 
 def evidence_of(reason: Reason) -> Finder:
-    """The finder for a reason."""
     return EVIDENCE.get(reason) or _refused(reason)

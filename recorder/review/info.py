@@ -145,19 +145,8 @@ def read_info(path: Path, progress: Progress = lambda _: None) -> LogInfo:
 
 
 def brief(info: LogInfo) -> LogBrief:
-    """A log in a line."""
-    return LogBrief(
-        path=info.path,
-        bytes=info.bytes,
-        whole=info.whole,
-        is_being_written=info.is_being_written,
-        messages=info.messages,
-        start_ns=info.start_ns,
-        end_ns=info.end_ns,
-        duration_s=info.duration_s,
-        robots=info.robots,
-        lost=lost(info),
-    )
+    shared = (field for field in LogBrief.__struct_fields__ if field != "lost")
+    return LogBrief(**{field: getattr(info, field) for field in shared}, lost=lost(info))
 
 
 def lost(info: LogInfo) -> int | None:
@@ -166,7 +155,6 @@ def lost(info: LogInfo) -> int | None:
 
 
 def total(infos: Sequence[LogInfo | LogBrief]) -> SetInfo:
-    """Several logs together."""
     start_ns = min((info.start_ns for info in infos if info.start_ns is not None), default=None)
     end_ns = max((info.end_ns for info in infos if info.end_ns is not None), default=None)
     return SetInfo(
@@ -249,7 +237,6 @@ def _incidents(contents: Contents) -> list[dict[str, str]]:
 
 
 def _robots(channels: Iterable[ChannelInfo]) -> list[str]:
-    """The robots of these topics."""
     parts = [keys.parse(channel.topic) for channel in channels if channel.messages]
     return sorted({one.robot for one in parts if one is not None and one.robot}, key=keys.in_order)
 
@@ -268,7 +255,6 @@ def _completeness(entries: dict[str, str]) -> dict[str, KeyReport]:
 
 
 def robots_of(logs: Sequence[LogFile], faults: Faults) -> list[RobotKeys]:
-    """The robots of logs, by their keys."""
     return robots_in(survey(logs, faults).topics.values())
 
 

@@ -73,7 +73,6 @@ _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
 
 def actions(window: EvidenceWindow, reason: Reason) -> Iterator[Link]:
-    """The actions of a stop that began at the moment for this reason."""
     states = list(window.after(SafetyState, window.at_ns - 1))
     stopping = list(takewhile(lambda one: one.said.state is ArbiterState.STOPPING, states))
     if stopping:
@@ -210,7 +209,6 @@ def _stood(speed_mps: float) -> str:
 
 
 def arbiter(state: SafetyState | None) -> Link:
-    """The arbiter's state and the holder of the lease."""
     if state is None:
         return missing("the arbiter's state at this moment")
     text = f"the arbiter was {state.state.value}"
@@ -239,7 +237,6 @@ def arbiter(state: SafetyState | None) -> Link:
 def headline(
     now: EvidenceWindow, state: SafetyState | None, focus: Entry | None, why: str, latch: Entry | None
 ) -> str:
-    """The answer in one sentence."""
     is_stop = focus is not None and focus.kind in {EntryKind.STOP, EntryKind.END}
     when = "" if focus is None else before(focus.time_ns, now.at_ns)
     soon = ""
@@ -384,7 +381,6 @@ class GatewaySilence(msgspec.Struct, frozen=True):
 
     @property
     def was_active(self) -> bool:
-        """True if the gateway commanded or stopped the robot."""
         return self.was.said.state is not ArbiterState.STANDBY
 
 
@@ -478,11 +474,9 @@ class Story:
         return None if last is None or last.kind is EntryKind.ENGAGED else last
 
     def next_stop(self, from_ns: int) -> Entry | None:
-        """The first stop from a time on."""
         return next(filter(stops, self.after(from_ns - 1)), None)
 
     def latch_before(self, reason: Reason, at_ns: int) -> Entry | None:
-        """The last latch for this reason up to a time."""
         latches = (one for one in self.before(at_ns) if one.kind is EntryKind.LATCH)
         return next((one for one in latches if one.reason is reason), None)
 
@@ -502,7 +496,6 @@ class Story:
         return reversed(self._entries[: bisect_right(self._order_ns, self.order_ns(at_ns))])
 
     def after(self, at_ns: int) -> Iterator[Entry]:
-        """The entries behind a time."""
         return iter(self._entries[bisect_right(self._order_ns, self.order_ns(at_ns)) :])
 
 

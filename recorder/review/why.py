@@ -77,19 +77,6 @@ class Explanation(msgspec.Struct, frozen=True):
         return self.state is not None or self.stop_ns is not None or self.silent_ns is not None
 
 
-def explain(
-    robot: str,
-    logs: Sequence[LogFile],
-    found: Survey,
-    at_ns: int | None,
-    faults: Faults,
-    progress: Progress = lambda _: None,
-) -> Explanation:
-    """Explain a moment, or without one the last stop."""
-    explainer = Explainer(robot, logs, found, faults, progress)
-    return explainer.last() if at_ns is None else explainer.at(at_ns)
-
-
 class Explainer:
     """Explains moments of one robot's logs, whose events are read once."""
 
@@ -111,7 +98,6 @@ class Explainer:
         self._end_ns = max((log.end_ns for log in held), default=0)
 
     def at(self, at_ns: int) -> Explanation:
-        """Explain a moment, in nanoseconds since 1970."""
         if self.story.is_shared:
             return self._nothing(at_ns, SHARED)
         answer = _Answer(self, at_ns)
@@ -160,7 +146,6 @@ class _Answer:
 
     @property
     def _is_active(self) -> bool:
-        """True if the log shows an arbiter that commands or stops the robot."""
         return self._state is not None and self._state.state is not ArbiterState.STANDBY
 
     def _hang_with_stop(self) -> GatewaySilence | None:
@@ -228,7 +213,6 @@ class _Answer:
         return None if has_followed else silence  # The run after it has ended too.
 
     def explanation(self) -> Explanation:
-        """The answer."""
         now, state, focus, silence = self._now, self._state, self._focus, self._silence
         links = [moment.motion(now), moment.arbiter(state), *self._command()]
         if silence is not None:
@@ -303,7 +287,6 @@ class _Answer:
         return f"the gateway {fell}{when}, {silence.was.said.state.value}{motion}{noticed}"
 
     def _silent(self, silence: GatewaySilence) -> Iterator[Link]:
-        """The silence, its end, and the robot's motion in between."""
         said = silence.was.said
         data = {
             "state": said.state.value,
@@ -376,7 +359,6 @@ class _Answer:
     # The stop.
 
     def _stop(self, focus: Entry, began_ns: int) -> Iterator[Link]:
-        """A stop: cause, evidence, actions, latches, cure."""
         window = self._now if began_ns == self._now.at_ns else self._explainer.window(began_ns)
         window.what = "the takeover" if focus.reason is Reason.HAND_TRANSMITTER else "the stop"
         window.detail = focus.text

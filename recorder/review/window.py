@@ -76,12 +76,10 @@ class Link(msgspec.Struct, frozen=True):
 
 
 def evidence(text: str, time_ns: int | None = None, **data: object) -> Link:
-    """A link that says what the log shows."""
     return Link(Step.EVIDENCE, text, time_ns, data)
 
 
 def missing(what: str) -> Link:
-    """A link that says what is not in the log."""
     return Link(Step.MISSING, f"not in the log: {what}")
 
 
@@ -104,7 +102,6 @@ def before(time_ns: int, at_ns: int, what: str = "that moment") -> str:
 
 
 def deg(angle_deg: float) -> str:
-    """A signed angle, without a minus before zero."""
     return f"{round(angle_deg, 1) + 0.0:.1f} deg"
 
 
@@ -114,7 +111,6 @@ def mps(speed_mps: float) -> str:
 
 
 def count(number: int, one: str) -> str:
-    """``1 frame``, ``2 frames``."""
     return f"{number} {one}{'' if number == 1 else 's'}"
 
 
@@ -167,7 +163,6 @@ class DecodedFrame(msgspec.Struct, frozen=True):
 
     @property
     def bus_time_ns(self) -> int:
-        """The time on the bus, as far as known."""
         return self.time_ns - self.waited_ns
 
     @property
@@ -186,7 +181,6 @@ class DecodedFrame(msgspec.Struct, frozen=True):
         return self.data[6] >> 4
 
     def __str__(self) -> str:
-        """Identifier, name and bytes."""
         return f"0x{self.identifier:08X} {BY_IDENTIFIER[self.identifier].name}, {self.data.hex(' ').upper()}"
 
 
@@ -294,7 +288,6 @@ class EvidenceWindow:
         self._read_journal()
 
     def _run(self) -> tuple[int, int]:
-        """The start of the moment's run, and of the next one."""
         from_ns, to_ns = 0, END_OF_TIME_NS
         for was, then in pairwise(self.all(SafetyState)):
             if not is_same_run(was.said.tick, then.said.tick):
@@ -345,11 +338,9 @@ class EvidenceWindow:
                 self.received += number < told and one.time_ns > self.at_ns - 1_000_000_000
 
     def ago(self, time_ns: int) -> str:
-        """``12.3 ms before the stop``."""
         return before(time_ns, self.at_ns, self.what)
 
     def all(self, kind: type[Said]) -> Sequence[Heard[Said]]:
-        """The messages of a class by time."""
         return self._said.get(kind, [])
 
     def during(self, kind: type[Said]) -> Sequence[Heard[Said]]:
@@ -414,7 +405,6 @@ class EvidenceWindow:
 
     @property
     def named_frames(self) -> list[str]:
-        """The feedback frames that the detail names."""
         return [name for name in IDENTIFIERS if name in self.detail]
 
     @property
@@ -487,7 +477,6 @@ _WANTED: Final = _OF_A_GATEWAY | {Journal, Drive, WheelSpeed, Steering, Gear, Bo
 
 
 def read_window(window: EvidenceWindow, logs: Sequence[LogFile], faults: Faults) -> EvidenceWindow:
-    """Fill a window from a robot's logs."""
     from_ns, to_ns = max(0, window.at_ns - BEFORE_NS), window.at_ns + AFTER_NS
 
     def read(selection: Selection, until_ns: int) -> None:

@@ -43,11 +43,9 @@ class Versions:
         self.left_out = 0
 
     def hear(self, info: GatewayInfo) -> None:
-        """Add a gateway's own description."""
         self._add(InForce(info.started_ns, info.variant.value, info.configuration_sha256, dict(info.versions)))
 
     def read(self, facts: Mapping[str, str]) -> None:
-        """Add a recorder's metadata of the robot."""
         packages = {name.removeprefix(_PACKAGE): one for name, one in facts.items() if name.startswith(_PACKAGE)}
         with suppress(ValueError):
             started_ns = int(facts.get("started_ns", ""))
@@ -157,7 +155,6 @@ class Account:
         return True
 
     def _place(self, message: Message, publish_ns: int, log_ns: int) -> int:
-        """Its place on the time axis."""
         tick: int | None = None
         if isinstance(message, SafetyState):
             self._clock.hear(message.tick, publish_ns, log_ns)
@@ -167,7 +164,6 @@ class Account:
         return time_ns if abs(time_ns - log_ns) < CLOCK_TRUST_NS else log_ns
 
     def take_entry(self, entry: Entry) -> None:
-        """Take the robot's next entry of the timeline."""
         if entry.last_ns >= self._begins_ns:
             self.drives.take(entry)
 
@@ -189,7 +185,6 @@ class Account:
     def sum_up(
         self, completeness: dict[str, KeyReport], from_ns: int = 0, to_ns: int = 2**64
     ) -> RobotReport | None:
-        """The robot's report; None if there was no message."""
         if not self._end_ns:
             return None
         found, motion = self.drives, self.drives.motion

@@ -91,7 +91,6 @@ class Charts:
         self.path.limit = round(PLACES_MAX * share)
 
     def add_state(self, time_ns: int, state: RobotState, pose: Pose | None, *, begins: bool) -> None:
-        """Add measured values and, if known, the pose."""
         if pose is not None:
             self.path.add(time_ns, pose, begins=begins)
         self._draw("speed_mps", time_ns, state.speed_mps)
@@ -99,7 +98,6 @@ class Charts:
         self.bands["mode"].add(time_ns, "" if state.mode is Mode.UNDEFINED else state.mode.value)
 
     def add_arbiter(self, time_ns: int, state: SafetyState) -> None:
-        """Add commanded values."""
         self.bands["arbiter"].add(time_ns, state.state.value)
         self.bands["lease"].add(time_ns, state.lease_holder)
         self._draw("speed_limit_mps", time_ns, state.speed_limit_mps)
@@ -129,7 +127,6 @@ class Series:
         self._last_ns: int | None = None
 
     def add(self, time_ns: int, value: float) -> None:
-        """Add a sample."""
         if self._last_ns is not None and time_ns - self._last_ns > GAP_NS:
             self.cut()
         self._last_ns = time_ns
@@ -179,7 +176,6 @@ class Spans:
         self._value: str | None = None
 
     def add(self, time_ns: int, value: str) -> None:
-        """Add a value."""
         if self._value is not None and time_ns < self._last_ns:
             return
         is_silent = self._value is not None and time_ns - self._last_ns > GAP_NS
@@ -209,7 +205,6 @@ class DrivenPath:
         self._last: Place | None = None
 
     def add(self, time_ns: int, pose: Pose, *, begins: bool) -> None:
-        """Add a pose."""
         if self._first is None:
             self._first = pose
         (x_m, y_m, heading_rad), (first_x_m, first_y_m, first_rad) = pose, self._first
@@ -228,7 +223,6 @@ class DrivenPath:
             self._keep(now)
 
     def places(self) -> list[Place]:
-        """Return the places, the last one included."""
         if self._last is None or self._places[-1] is self._last:
             return self._places
         return [*self._places, self._last]
@@ -373,7 +367,6 @@ class Report(msgspec.Struct, frozen=True):
 
     @property
     def drawn(self) -> list[tuple[RobotSummary, Drawn]]:
-        """All charts, in the order of the page."""
         return [(robot.summary, one) for robot in self.robots for one in robot.drawn]
 
 
@@ -425,7 +418,6 @@ def distance(robot: RobotSummary) -> str:
 
 
 def drive_distance(robot: RobotSummary, drive: RecordedDrive) -> str:
-    """The distance of a drive in words."""
     if not robot.known_s:
         return "-"
     return f"{'at least ' if drive.missing_s else ''}{metres(drive.distance_m)}"
@@ -447,7 +439,6 @@ def stops_by(stops: Mapping[str, int]) -> str:
 
 
 def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
-    """The details of a robot, line by line."""
     summary = robot.summary
     return [
         ("When", f"{_from_to(summary.start_ns, summary.end_ns)}"),
@@ -540,17 +531,14 @@ def who(moment: Entry) -> str:
 
 
 def reason_words(reason: str) -> str:
-    """A reason in words."""
     return _WORDS.get(reason, reason)
 
 
 def counted(count: int, noun: str) -> str:
-    """``1 file``, ``2 files``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:
-    """A time span in words."""
     if seconds < 120:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -559,12 +547,10 @@ def duration(seconds: float) -> str:
 
 
 def metres(length_m: float) -> str:
-    """A distance in words."""
     return f"{length_m / 1000:.2f} km" if length_m >= 10_000 else f"{length_m:.1f} m"
 
 
 def size(count: int) -> str:
-    """A file size in words."""
     for factor, unit in ((10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
         if count >= factor:
             return f"{count / factor:.1f} {unit}"

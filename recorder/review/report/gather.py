@@ -47,7 +47,6 @@ def read_report(
     *,
     version: str = "",
 ) -> Report:
-    """Read a report from logs, in memory that does not grow with them."""
     infos = [_info(log) for log in logs]
     fleet = _Fleet(logs, selection, infos, faults)
     fleet.read(progress)
@@ -128,7 +127,6 @@ class _Fleet:
         self._note(self._timeline.tell())
 
     def end(self) -> Iterator[RobotReport]:
-        """Yield the reports of all robots, after the last row."""
         asked = self._asked
         for ending in self._timeline.endings(self._logs, asked.to_ns):
             if is_within(ending.entry, asked):

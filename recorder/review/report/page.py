@@ -58,7 +58,6 @@ from schemas.reasons import Reason
 
 
 def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
-    """The charts of a drive as ``page.js`` reads them."""
     stops = [moment.time_ns for moment in drawn.moments if moment.is_stop]
     return {
         "robot": robot.name,
@@ -77,7 +76,6 @@ def figures(robot: RobotSummary, drawn: Drawn) -> dict[str, Any]:
 
 
 def clock(time_ns: int) -> str:
-    """The time of day, UTC."""
     try:
         return f"{datetime.fromtimestamp(time_ns // 10**9, UTC):%H:%M:%S}.{time_ns % 10**9 // 10**6:03d}"
     except (ValueError, OverflowError, OSError):
@@ -85,7 +83,6 @@ def clock(time_ns: int) -> str:
 
 
 def hover_text(moment: Entry) -> str:
-    """An event in words, line by line."""
     parts = [f"{moment.kind.value} {clock(moment.time_ns)}", plain(moment_words(moment))]
     if moment.reason is not Reason.NONE:
         parts.append(f"reason: {reason_words(moment.reason.value)}")
@@ -284,7 +281,6 @@ class _Page:
         yield "</div></section>"
 
     def _drawn(self, robot: RobotReport, one: Drawn) -> Iterator[str]:
-        """Player, path, charts, stops and events of a drive."""
         summary, number = robot.summary, self._numbers[id(one)]
         yield f'<section class="drive" id="drive-{number}" data-number="{number}" aria-labelledby="of-{number}">'
         title = f"{in_words(one.start_ns)}: {duration((one.end_ns - one.start_ns) / 1e9)}"
@@ -375,7 +371,6 @@ class _Page:
         )
 
     def _command(self, robot: str, drive: RecordedDrive) -> str:
-        """The command for the report of a drive."""
         from_ns, to_ns = max(0, drive.log_start_ns - MARGIN_NS), drive.log_end_ns + MARGIN_NS
         file = shlex.quote(f"{robot}-{re.sub('[-:]', '', iso(drive.start_ns)[:19])}Z.html".replace("/", "-"))
         period = f"--from {iso(from_ns)} --to {iso(to_ns)}"
@@ -383,7 +378,6 @@ class _Page:
 
 
 def _chart(name: str, kind: str, about: str, caption: str, marks: str) -> Iterator[str]:
-    """A chart and its moving marks."""
     yield '<figure><div class="stage">'
     yield f'<div class="chart {kind}" id="{name}" role="group" aria-label="{text(about)}"></div>'
     yield f'<svg aria-hidden="true">{marks}</svg></div>'
@@ -435,14 +429,12 @@ def safe_json(value: Any) -> str:  # noqa: ANN401 - whatever JSON can hold
 
 
 def card(title: str, inner: Iterable[str], level: int = 3) -> Iterator[str]:
-    """A box with a heading."""
     yield f'<div class="card"><h{level}>{text(title)}</h{level}>'
     yield from inner
     yield "</div>"
 
 
 def definitions(lines: Sequence[Line]) -> Iterator[str]:
-    """A list of names and texts."""
     yield "<dl>"
     for name, said in lines:
         yield f"<dt>{text(name)}</dt><dd>{text(said)}</dd>"
@@ -460,7 +452,6 @@ def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) 
 
 
 def records(caption: str, found: Sequence[msgspec.Struct]) -> Iterator[str]:
-    """A table of records with a column for each field."""
     if not found:
         yield f"<p>{ABSENT.capitalize()}.</p>"
         return

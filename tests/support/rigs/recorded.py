@@ -10,7 +10,7 @@ import msgspec
 from gateway.chassis.frame import Frame
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
-from recorder.review.why import Explanation, explain
+from recorder.review.why import Explainer, Explanation
 from recorder.review.window import Step
 from schemas import codec, keys
 from schemas.configuration import to_toml
@@ -155,7 +155,8 @@ def ask_of(paths: Sequence[Path], at_ns: int | None = None, robot: str = ROBOT) 
     """Why, of these logs."""
     faults = Faults()
     logs = find_logs(paths, faults)
-    explanation = explain(robot, logs, survey(logs, faults), at_ns, faults)
+    explainer = Explainer(robot, logs, survey(logs, faults), faults)
+    explanation = explainer.last() if at_ns is None else explainer.at(at_ns)
     assert not faults, faults.told
     return explanation
 
