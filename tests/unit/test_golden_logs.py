@@ -15,6 +15,5 @@ def test_a_golden_log_answers_as_it_did(name: str, question: str) -> None:
 
 @pytest.mark.parametrize("name", LOGS)
 def test_a_golden_log_is_small_and_the_page_says_how_it_was_made(name: str) -> None:
-    """In the README beside them."""
     assert f"| `{name}` |" in (DIRECTORY / "README.md").read_text(encoding="utf-8")
     assert all(path.stat().st_size < MOST_BYTES for path in (DIRECTORY / name).iterdir())

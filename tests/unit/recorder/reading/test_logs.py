@@ -12,7 +12,6 @@ from tests.support.logs import flipped, foreign_log, gears, own_log, saved
 
 
 def log(start_ns: int, count: int = 10) -> bytes:
-    """A log of so many messages, 10 ns apart."""
     return own_log([gears(0, count, start_ns)])
 
 
@@ -21,7 +20,6 @@ def names(paths: list[Path], faults: Faults | None = None, *, with_covered: bool
 
 
 def test_files_come_by_their_beginning(tmp_path: Path) -> None:
-    """Whatever their names, and however they were given; each once."""
     paths = [
         saved(tmp_path / f"{name}.mcap", log(time_ns)) for name, time_ns in (("a", 300), ("b", 100), ("c", 200))
     ]
@@ -64,7 +62,6 @@ def test_what_is_taken_of_a_directory(tmp_path: Path, files: dict[str, bytes], f
 
 
 def test_an_incident_that_is_named_or_asked_for_is_taken(tmp_path: Path) -> None:
-    """Though all of it is in a log."""
     saved(tmp_path / "r-1.mcap", log(100))
     incident = saved(tmp_path / "r-2.incident.mcap", log(120, 5))
     assert names([tmp_path]) == ["r-1.mcap"]
@@ -85,7 +82,6 @@ def test_an_incident_that_is_named_or_asked_for_is_taken(tmp_path: Path) -> None
     ],
 )
 def test_the_time_of_a_file_is_told_in_any_state(tmp_path: Path, data: bytes, span: tuple[int, int]) -> None:
-    """By its end, or by its chunks."""
     found = look_at(saved(tmp_path / "x.mcap", data))
     assert (found.start_ns, found.end_ns) == span
     assert found.bytes == len(data)
@@ -105,7 +101,6 @@ def test_a_fifo_is_no_log(tmp_path: Path, *, is_directory: bool) -> None:
 
 @given(st.lists(st.text()))
 def test_all_faults_are_counted_and_the_first_are_told(details: list[str]) -> None:
-    """Memory does not grow with the damage."""
     faults = Faults()
     for detail in details:
         faults.add(detail)

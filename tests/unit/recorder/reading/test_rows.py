@@ -37,7 +37,6 @@ def of_subject(name: str) -> Selection:
 
 
 def test_what_is_not_of_its_schema_is_a_fault_and_left_out(tmp_path: Path) -> None:
-    """The rows before and behind it come with their messages."""
     path = saved(
         tmp_path / "log.mcap", own_log([[*gears(0, 1, 5), (1, 1, 6, b"\xff"), *gears(2, 1, 7)]], CHANNELS)
     )
@@ -51,7 +50,6 @@ def test_what_is_not_of_its_schema_is_a_fault_and_left_out(tmp_path: Path) -> No
 
 
 def test_rows_of_several_files_come_by_log_time(tmp_path: Path) -> None:
-    """Those that overlap, and one that begins when another has ended."""
     found = rows(
         tmp_path,
         Selection(),
@@ -112,7 +110,6 @@ def indexed(*entries: int) -> bytes:
 def test_what_is_read_of_a_file(
     tmp_path: Path, selection: Selection, data: bytes, log_ns: list[int], fault: str
 ) -> None:
-    """By topic and by log time, in any state; what cannot be read is told."""
     faults = Faults()
     assert [row.log_ns for row in rows(tmp_path, selection, data, faults=faults)] == log_ns
     assert bool(faults) == bool(fault)

@@ -21,7 +21,6 @@ def found_in(path: Path) -> tuple[Survey, Faults]:
 
 @pytest.mark.parametrize("cut", [0, 200], ids=["whole", "without its end"])
 def test_topics_metadata_and_attachments_are_found(tmp_path: Path, cut: int) -> None:
-    """By the end of a file, or without one by its records."""
     path = tmp_path / "log.mcap"
     data = small_log()
     path.write_bytes(data[: len(data) - cut])
@@ -41,7 +40,6 @@ def test_topics_metadata_and_attachments_are_found(tmp_path: Path, cut: int) -> 
 
 
 def test_of_several_logs_all_is_found(tmp_path: Path) -> None:
-    """A file that goes away meanwhile is a fault, and the others are read."""
     for name in ("a", "b"):
         (tmp_path / f"{name}.mcap").write_bytes(small_log())
     faults = Faults()
@@ -54,7 +52,6 @@ def test_of_several_logs_all_is_found(tmp_path: Path) -> None:
 
 
 def test_what_is_kept_of_all_configurations_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A log of some kilobytes could else fill the memory with very many of them, no two of them the same."""
     monkeypatch.setattr(module, "TEXTS_MAX", 1000)
     said = [msgspec.structs.replace(info(), started_ns=n, configuration="#" * 100) for n in range(50)]
     rows = [(1, n, WALL_NS + n, WALL_NS + n, encoded(one)) for n, one in enumerate(said)]

@@ -52,7 +52,6 @@ def test_every_form_of_a_time_is_understood(text: str, time_ns: int) -> None:
     "text", ["", "soon", "25:00:00", "12:61", "1.0000000001", "1  s", "2024-13-01", "--5", "9" * 5000 + "-01"]
 )
 def test_what_is_no_time_is_a_wrong_usage(text: str) -> None:
-    """Exit code 2, and the forms that there are."""
     with pytest.raises(CommandError, match="is no time: give seconds since") as caught:
         time_of(text, START, END)
     assert caught.value.code == ExitCode.USAGE
@@ -60,20 +59,17 @@ def test_what_is_no_time_is_a_wrong_usage(text: str) -> None:
 
 @given(st.text(max_size=30))
 def test_no_text_raises_anything_else(text: str) -> None:
-    """Whatever was typed."""
     with suppress(CommandError):
         time_of(text, START, END)
 
 
 @given(st.integers(0, 2**62))
 def test_what_is_told_can_be_asked_for(time_ns: int) -> None:
-    """A time in words, to the millisecond, is a time again."""
     words = in_words(time_ns).removesuffix(" UTC")
     assert time_of(words, START, END) == time_ns - time_ns % MS
 
 
 @pytest.mark.parametrize("time_ns", [2**64 - 1, 2**63, -(2**62) * 4])
 def test_times_beyond_the_calendar_are_numbers(time_ns: int) -> None:
-    """MCAP's reach further."""
     assert in_words(time_ns) == f"{time_ns} ns" or in_words(time_ns).endswith("UTC")
     assert in_words(2**70) == f"{2**70} ns"

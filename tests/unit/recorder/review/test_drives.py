@@ -32,7 +32,6 @@ STEP_NS = 50 * MS
 
 
 def moved(speeds: Sequence[float | None], start_ns: int = 0) -> SpeedMeter:
-    """Speeds, 20 times a second."""
     motion = SpeedMeter()
     for number, speed_mps in enumerate(speeds):
         motion.add(start_ns + number * STEP_NS, speed_mps)
@@ -60,7 +59,6 @@ def moved(speeds: Sequence[float | None], start_ns: int = 0) -> SpeedMeter:
 def test_distance_and_top_speed(
     speeds: list[float | None], distance_m: float, moving_s: float, top_mps: float
 ) -> None:
-    """The distance counts both ways; the top speed has its sign, and is none that no robot can have reached."""
     motion = moved(speeds)
     assert motion.distance_m == pytest.approx(distance_m, abs=0.03)
     assert motion.moving_ns / 1e9 == pytest.approx(moving_s, abs=0.1)
@@ -80,7 +78,6 @@ def test_distance_and_top_speed(
     ],
 )
 def test_a_gap_is_not_guessed(gap_ns: int, speeds_mps: tuple[float, float], is_missing: bool) -> None:  # noqa: FBT001 - a case
-    """How long nothing was known is told, but for a long rest between drives."""
     before_mps, behind_mps = speeds_mps
     motion = moved([before_mps] * 21)
     step_m = motion.add(20 * STEP_NS + gap_ns, behind_mps)
@@ -90,7 +87,6 @@ def test_a_gap_is_not_guessed(gap_ns: int, speeds_mps: tuple[float, float], is_m
 
 
 def test_what_is_there_twice_adds_nothing() -> None:
-    """A second copy of a log is passed over; a clock that is set back far makes a gap."""
     motion = moved([1.0] * 21, start_ns=2 * CLOCK_STEP_NS)
     assert motion.add(2 * CLOCK_STEP_NS, 1.0) is None
     for number in range(21):
@@ -107,7 +103,6 @@ def entry(at_s: float, kind: EntryKind, **fields: Any) -> Entry:  # noqa: ANN401
 
 
 def happened(*entries: Entry, found: Drives | None = None) -> Drives:
-    """All of them, marked as the timeline does."""
     found, stops = found or Drives(), Stops()
     for one in entries:
         found.take(stops.mark(one))
@@ -115,13 +110,11 @@ def happened(*entries: Entry, found: Drives | None = None) -> Drives:
 
 
 def silence(from_s: float, to_s: float, **fields: object) -> Entry:
-    """Nothing of the arbiter for a while."""
     return entry(from_s, EntryKind.GAP, last_ns=WALL_NS + round(to_s * SECOND), **fields)
 
 
 @pytest.mark.parametrize(("rest_ns", "count"), [(REST_NS, 1), (REST_NS + 1, 2)])
 def test_a_long_rest_ends_a_drive(rest_ns: int, count: int) -> None:
-    """A shorter one is a part of it."""
     found = Drives()
     for time_ns in (10**15, 10**15 + 5, 10**15 + 5 + rest_ns):
         found.command(time_ns, time_ns)
@@ -130,7 +123,6 @@ def test_a_long_rest_ends_a_drive(rest_ns: int, count: int) -> None:
 
 
 def test_a_drive_misses_what_was_not_recorded_in_it() -> None:
-    """A pause between two drives is none of it."""
     found = Drives()
     for at_s in (0.0, 0.05, 8.35, 8.4, 4000.0, 4000.05):
         found.move(WALL_NS + round(at_s * SECOND), WALL_NS, 1.0)
@@ -143,7 +135,6 @@ def test_a_drive_misses_what_was_not_recorded_in_it() -> None:
     ("off_ns", "is_in"), [(-MARGIN_NS, True), (-MARGIN_NS - 1, False), (MARGIN_NS + 1, False)]
 )
 def test_what_happens_near_a_drive_belongs_to_it(off_ns: int, is_in: bool) -> None:  # noqa: FBT001 - a case
-    """Up to its margins."""
     found = Drives()
     found.command(WALL_NS, WALL_NS)
     happened(entry(off_ns / SECOND, EntryKind.STOP, reason=Reason.DEADMAN), found=found)
@@ -176,7 +167,6 @@ def test_the_worst_moment_is_the_first_of_the_gravest(severities: str, worst: st
 
 @pytest.mark.parametrize("is_latched", [True, False])
 def test_the_cause_of_a_gateways_death_is_what_the_next_one_latches(is_latched: bool) -> None:  # noqa: FBT001 - a case
-    """Without a word of it the cause is that the gateway died."""
     died = entry(1, EntryKind.GATEWAY, severity=Severity.ERROR)
     latch = entry(9, EntryKind.LATCH, reason=Reason.GUARD)
     found = happened(died, *[latch] * is_latched)
@@ -185,7 +175,6 @@ def test_the_cause_of_a_gateways_death_is_what_the_next_one_latches(is_latched: 
 
 
 def test_the_silence_before_a_restart_is_its_own() -> None:
-    """Of the others another gateway did not come."""
     found = happened(
         silence(1, 3),
         silence(5, 9, severity=Severity.ERROR),
@@ -204,7 +193,6 @@ def test_the_silence_before_a_restart_is_its_own() -> None:
 
 
 def test_a_thousand_leases_hide_no_error() -> None:
-    """There is room for what matters, and what is left out is counted."""
     leases = [entry(number, EntryKind.LEASE, severity=Severity.INFO) for number in range(ENTRIES_MAX + 100)]
     errors = [entry(number + 0.5, EntryKind.GATEWAY, severity=Severity.ERROR) for number in range(ERRORS_MAX + 50)]
     found = happened(*leases, *errors)
@@ -250,7 +238,6 @@ def test_the_way_is_that_of_the_robots_odometry_where_the_log_has_it() -> None:
 
 @pytest.mark.parametrize("rest_ns", [20 * MS, 10 * SECOND])
 def test_another_gateway_or_a_reset_goes_on_from_the_same_place(rest_ns: int) -> None:
-    """Its zero lies where the robot was last seen, and there is no jump."""
     way = SpeedMeter().way
     first = odometries([(1.0, 0.0)] * 2, WALL_NS)
     second = odometries([(1.0, 0.0)], first[-1].time_ns + rest_ns)

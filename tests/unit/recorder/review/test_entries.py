@@ -85,7 +85,6 @@ def test_a_clock_is_judged_by_what_is_received(
 
 @given(said=st.lists(st.tuples(st.integers(1, 800), st.integers(-(10**11), 10**11), st.integers(0, 10**10))))
 def test_nothing_is_placed_behind_its_receipt(said: list[tuple[int, int, int]]) -> None:
-    """Whatever the clocks and the link do."""
     clock = RobotClock()
     tick, log_ns = TICK, WALL_NS
     for ticks, off_ns, later_ns in said:
@@ -95,21 +94,8 @@ def test_nothing_is_placed_behind_its_receipt(said: list[tuple[int, int, int]]) 
         assert clock.place(log_ns - off_ns, log_ns) <= log_ns
 
 
-@given(waited_ticks=st.integers(30, 600))
-def test_a_burst_at_the_start_is_no_clock_that_is_behind(waited_ticks: int) -> None:
-    """What was said before the recorder was there comes all at once, however much it is."""
-    clock = RobotClock()
-    there_ns = WALL_NS + waited_ticks * TICK_NS
-    for tick in range(0, waited_ticks, 5):
-        said_ns = WALL_NS + tick * TICK_NS
-        assert clock.hear(TICK + tick, said_ns, there_ns + tick) == ""
-        assert clock.place(said_ns, there_ns + tick, TICK + tick) == said_ns
-    assert run(clock, range(waited_ticks, waited_ticks + 1000, 5)) == []
-
-
 @given(set_ns=st.integers(-(10**14), 10**14).filter(lambda ns: abs(ns) > NEAR_NS + MS))
 def test_a_clock_that_is_set_is_seen_by_the_ticks(set_ns: int) -> None:
-    """The very first message after it is in its place, before any state tells."""
     clock = RobotClock()
     run(clock, range(0, 100, 5))
     now_ns = WALL_NS + 100 * TICK_NS
@@ -126,17 +112,14 @@ NAMES = ("Auto_GearFeedBack", "Auto_DriveFeedBack")
 
 
 def health(**changes: object) -> GatewayHealth:
-    """A health that is well, but for this."""
     return msgspec.structs.replace(WELL, **changes)
 
 
 def frame(**changes: object) -> list[FrameHealth]:
-    """The feedback, with this changed."""
     return [msgspec.structs.replace(FRAME, **changes)]
 
 
 def frames(**changes: object) -> list[FrameHealth]:
-    """Two frames, both with this changed."""
     return [msgspec.structs.replace(FRAME, name=name, **changes) for name in NAMES]
 
 
@@ -187,7 +170,6 @@ ABOUT = {(): "", (FRAME.name,): " this", NAMES: " both"}
 def test_two_healths_tell_what_went_wrong_between_them(
     before: GatewayHealth | None, now: GatewayHealth, told: list[str]
 ) -> None:
-    """Once, with its count and the frames that it is about, and nothing else."""
     assert [
         f"{'over ' * one.is_end}{one.severity.value} {one.count}x{ABOUT[one.about]}: {one.text}"
         for one in risen(before, now)
@@ -254,13 +236,11 @@ def test_one_stop_for_each_end_of_being_commanded(happened: str) -> None:
 
 
 def refusal(time_ns: int, count: int = 1) -> Entry:
-    """An entry whose text is its time."""
     return entry(EntryKind.REFUSAL, time_ns, str(time_ns), count=count)
 
 
 @given(times=st.lists(st.integers(0, 100), min_size=1, max_size=50))
 def test_nothing_is_lost_in_whatever_order_it_comes(times: list[int]) -> None:
-    """The counts add up, and each spell reaches from its first to its last."""
     spells = Spells()
     step_ns = SPELL_NS // 2
     for time in times:
@@ -283,7 +263,6 @@ def test_nothing_is_lost_in_whatever_order_it_comes(times: list[int]) -> None:
     ],
 )
 def test_alike_entries_are_one(added: list[tuple[str, int, str]], told: list[str]) -> None:
-    """With the text of the last, and all names that they are about."""
     spells = Spells()
     for key, time_ns, about in added:
         spells.add(key, refusal(time_ns), time_ns, about.split())
@@ -292,7 +271,6 @@ def test_alike_entries_are_one(added: list[tuple[str, int, str]], told: list[str
 
 
 def test_what_has_no_end_takes_no_memory_without_end() -> None:
-    """A log of others may name anything: names, keys, holes, samples; the oldest are told, or forgotten."""
     spells = Spells()
     for number in range(10 * NAMES_MAX):
         spells.add("key", refusal(0), 0, [f"<{number}>"])
@@ -316,7 +294,6 @@ def test_what_has_no_end_takes_no_memory_without_end() -> None:
 
 @given(there=st.sets(st.integers(0, 60), min_size=1), chance=st.randoms())
 def test_holes_are_what_is_missing_between_the_first_and_the_last(there: set[int], chance: object) -> None:
-    """In whatever order the samples come, and however often."""
     order = sorted(there) * 2
     chance.shuffle(order)  # type: ignore[attr-defined]
     sequences = Sequences()

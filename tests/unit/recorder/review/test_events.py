@@ -1,7 +1,7 @@
 """What happened, in order."""
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, Recor
 from tests.support.logs import Log
 from tests.support.messages import HEALTH, MS, ROBOT, SECOND, STANDBY, WALL_NS, gear, safety_event, sample_of
 from tests.support.rigs import gateway, scenarios
-from tests.support.rigs.scenarios import recorded
 
 TICK_NS = 10 * MS
 FIRST_TICK = 10**11
@@ -39,28 +38,22 @@ GATEWAY = RecorderEventKind.GATEWAY
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where a test's log goes."""
     return tmp_path / "log.mcap"
 
 
-def told(
-    path: Path, data: bytes, selection: Selection | None = None, kinds: Collection[EntryKind] = ()
-) -> list[Entry]:
-    """The entries of a log with this content."""
+def told(path: Path, data: bytes, selection: Selection | None = None) -> list[Entry]:
     path.write_bytes(data)
     faults = Faults()
-    entries = list(read_events(find_logs([path], faults), selection or Selection(), faults, kinds=kinds))
+    entries = list(read_events(find_logs([path], faults), selection or Selection(), faults))
     assert not faults, faults.told
     return entries
 
 
 def at(tick: int, ahead_ns: int = 0) -> int:
-    """The robot's time at a tick."""
     return WALL_NS + tick * TICK_NS + ahead_ns
 
 
 def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> SafetyState:  # noqa: ANN401 - any field
-    """A state of the arbiter; standing by if nothing else is said."""
     said = msgspec.structs.replace(
         STANDBY,
         time_ns=at(tick, ahead_ns),
@@ -72,7 +65,6 @@ def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> Safety
 
 
 def event(tick: int, sequence: int, kind: EventKind = EventKind.RESET, text: str = "") -> SafetyEvent:
-    """An event."""
     made = safety_event(kind, Severity.INFO, sequence)
     words = text or str(sequence)
     return msgspec.structs.replace(
@@ -89,7 +81,6 @@ def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
 
 
 def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is told all the same, and marked."""
     monkeypatch.setattr(events, "HELD_MAX", 10)
     said = [(100 + n, event(100 + n, 100 + n)) for n in range(50)]
     entries = told(path, log_of([*said, (200, event(5, 5))]))
@@ -99,20 +90,8 @@ def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytes
     assert [one.text for one in entries if one.is_late and one.kind is EntryKind.RESET] == ["5"]
 
 
-def test_a_question_bounds_time_and_kind(path: Path) -> None:
-    """The same entries, fewer of them."""
-    data = recorded(scenarios.front_bumper)
-    every = told(path, data)
-    middle_ns = next(one.time_ns for one in every if one.kind is EntryKind.STOP)
-    assert told(path, data, Selection(to_ns=middle_ns)) == [one for one in every if one.time_ns < middle_ns]
-    assert told(path, data, Selection(from_ns=middle_ns)) == [one for one in every if one.last_ns >= middle_ns]
-    kinds = frozenset({EntryKind.STOP})
-    assert told(path, data, kinds=kinds) == [one for one in every if one.kind in kinds]
-
-
 @pytest.mark.parametrize("steps_recorder", [False, True])
 def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *, steps_recorder: bool) -> None:
-    """Also where all that is read ends in the hole of the log times: the next state is of the same gateway."""
     rig = scenarios.stepped_clock(steps_recorder=steps_recorder)
     start_ns = gateway.WALL_NS
     found = told(path, rig.log(), Selection(from_ns=start_ns + SECOND, to_ns=start_ns + 6 * SECOND))
@@ -123,7 +102,6 @@ def test_a_gateway_behind_a_step_of_the_clock_did_not_fall_silent(path: Path, *,
 
 
 def test_what_the_recorder_says_is_told(path: Path) -> None:
-    """Its events, and what it could not keep."""
     gap = RecordGap(WALL_NS + SECOND, 0, "fleet/cruiser-1/safety/event", GapReason.DISK, WALL_NS, WALL_NS + 5, 12)
     said = RecorderEvent(WALL_NS + 9, 0, Severity.ERROR, RecorderEventKind.FULL, "", "", "operator-1", "no room")
     log = Log()
@@ -241,7 +219,6 @@ def said_in(text: str) -> list[tuple[int, Message | RecorderEvent]]:
 
 @pytest.mark.parametrize("story", STORIES.split("\n== ")[1:], ids=lambda one: one.partition("\n")[0])
 def test_what_a_log_holds_is_told_as_what_it_was(story: str, path: Path) -> None:
-    """A clock that was set, a gateway or a recorder that stood still, one that died, two of one name."""
     _, said, *expected = story.strip().split("\n")
     log = Log()
     for tick, message in said_in(said):

@@ -26,7 +26,6 @@ def info_of(path: Path, data: bytes) -> LogInfo:
 
 
 def test_all_incidents_are_named(path: Path) -> None:
-    """Each once; one that was begun without a log names none only while there is none."""
     about = [{"file": name, "because": name[:1]} for name in ("", "a.incident.mcap", "b.incident.mcap")]
     chunk = [gears(0, 1, 1)]
     named = info_of(path, own_log(chunk, metadata=[(INCIDENT_NAME, about[place]) for place in (0, 1, 2, 1)]))
@@ -38,7 +37,6 @@ def test_all_incidents_are_named(path: Path) -> None:
 
 
 def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
-    """Its checksum tells; then the records themselves are asked."""
     data = small_log()
     summary_start = int.from_bytes(data[-28:-20], "little")
     for place in range(summary_start, len(data), 97):
@@ -49,7 +47,6 @@ def test_an_end_that_is_damaged_is_not_believed(path: Path) -> None:
 
 
 def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
-    """Damage in one is not seen: that is another question."""
     data = bytearray(own_log([gears(0, 5, 100), gears(5, 5, 200)]))
     data[data.index(b"zstd") + 20] ^= 0xFF
     found = info_of(path, bytes(data))
@@ -57,7 +54,6 @@ def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
 
 
 def test_each_channel_has_its_own_times(path: Path) -> None:
-    """By its first and its last message index, wherever these are."""
     channels = [
         LogChannel(number, f"t/{number}", schema_name(Gear), descriptor_set(Gear)) for number in (1, 2, 3, 4)
     ]
@@ -102,7 +98,6 @@ def test_each_channel_has_its_own_times(path: Path) -> None:
 def test_files_of_others_tell_the_same_however_they_end(
     path: Path, compression: CompressionType, given: dict[str, Any]
 ) -> None:
-    """What their ends leave out, the records tell."""
     found = info_of(path, foreign_log(range(10, 20), compression=compression, **given))
     [channel] = found.channels
     assert (found.whole, found.messages, found.start_ns, found.end_ns) == (True, 10, 10, 19)

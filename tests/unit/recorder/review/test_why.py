@@ -262,7 +262,6 @@ Of each moment what the answer says: ``headline: words`` or ``cause: words`` sta
 
 
 def lines(explanation: Explanation, zero_ns: int) -> Iterator[tuple[str, str]]:
-    """The answer, as steps and sentences."""
     yield "headline", explanation.headline
     yield "reason", explanation.reason.value
     yield "state", "none" if explanation.state is None else explanation.state.value
@@ -272,7 +271,6 @@ def lines(explanation: Explanation, zero_ns: int) -> Iterator[tuple[str, str]]:
 
 
 def wrong(explanation: Explanation, said: Sequence[str], zero_ns: int = 0) -> list[str]:
-    """What is not as it should be."""
     found = list(lines(explanation, zero_ns))
 
     def holds(one: str) -> bool:
@@ -286,13 +284,11 @@ def wrong(explanation: Explanation, said: Sequence[str], zero_ns: int = 0) -> li
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """Where a test's log goes."""
     return tmp_path / "log.mcap"
 
 
 @pytest.mark.parametrize("row", ROWS.split("\n== ")[1:], ids=lambda row: row.partition("\n")[0])
 def test_the_answer_says(row: str, tmp_path: Path) -> None:
-    """Given these logs, at each of these moments."""
     for short, whole in SHORT.items():
         row = row.replace(short, whole)
     scripts = re.findall("^given (.*)$", row, re.MULTILINE)
@@ -322,14 +318,12 @@ UNACTED = {
 
 
 def test_the_diary_has_thirty_stops_and_each_cause_among_them() -> None:
-    """The scenarios, a gateway that hung, one that was killed, and one that was killed together with its guard."""
     assert len(SCENARIOS) + ROWS.count("== diary: ") >= 30
     assert set(EVIDENCE) - {reason for reason, _ in SCENARIOS.values()} == UNACTED
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=str)
 def test_the_last_stop_has_its_cause_its_evidence_and_its_cure(scenario: Scenario, path: Path) -> None:
-    """The right reason, shown by the right frame, silence or request, with the right numbers."""
     reason, words = SCENARIOS[scenario]
     explanation = ask(path, recorded(scenario))
     cured = REFUSED.get(scenario, reason)
@@ -358,14 +352,12 @@ def _day() -> bytes:
 
 
 def _entries(path: Path, *kinds: EntryKind) -> list[Entry]:
-    """What ``events`` tells of these kinds, of that day."""
     path.write_bytes(_day())
     faults = Faults()
     return list(read_events(find_logs([path], faults), Selection(), faults, kinds=frozenset(kinds)))
 
 
 def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path) -> None:
-    """Each by its own reason, although the robot's clock is set by hours in between."""
     entries = _entries(path, *ENDS, EntryKind.CLOCK)
     assert EntryKind.CLOCK in {one.kind for one in entries}
     stops = [one for one in entries if one.reason is not Reason.NONE]
@@ -378,7 +370,6 @@ def test_of_a_day_in_which_everything_happens_every_stop_is_explained(path: Path
 
 @pytest.mark.parametrize("reason", Reason, ids=lambda one: one.value)
 def test_of_an_empty_log_nothing_is_claimed(reason: Reason) -> None:
-    """Whatever the reason: no exception, and no evidence."""
     window = EvidenceWindow(ROBOT, WALL_NS, 0, Limits())
     window.detail = "Auto_DriveFeedBack, Auto_GearFeedBack"
     assert window.named_frames == ["Auto_GearFeedBack", "Auto_DriveFeedBack"]
@@ -408,12 +399,10 @@ def frames_of(*journals: Journal) -> int:
 
 @pytest.mark.parametrize(("run", "first", "known"), [(7, 10, 10), (7, 11, 5), (8, 10, 5)])
 def test_a_gap_of_the_journal_and_another_run_end_what_is_known(run: int, first: int, known: int) -> None:
-    """What came before is not the arbiter's input of this moment."""
     assert frames_of(Journal(WALL_NS, 0, 7, 0, 10, INPUTS), Journal(WALL_NS, 1, run, first, 10, INPUTS)) == known
 
 
 def test_a_damaged_journal_never_raises() -> None:
-    """Bytes flipped anywhere, and anything that MessagePack can say."""
     chance = random.Random(5)  # noqa: S311 - the same damage each time
     wrong: list[object] = [[], [[]], [[3]], [[3, None, 5]], [[0, 1, 2], [3, 1, WALL_NS]], {"a": 1}]
     damaged = [msgspec.msgpack.encode(one) for one in wrong]
@@ -427,7 +416,6 @@ def test_a_damaged_journal_never_raises() -> None:
 
 
 def test_a_reset_is_of_the_latches_that_it_names_in_its_run() -> None:
-    """One of another latch, one of nothing, and one of another gateway are none of it."""
     latch = entry(EntryKind.LATCH, 1, "latched until a reset", tick=10, reason=Reason.REMOTE_STOP)
     others = [
         entry(EntryKind.RESET, 2, "reset: front_bumper", tick=20),
@@ -439,21 +427,7 @@ def test_a_reset_is_of_the_latches_that_it_names_in_its_run() -> None:
     assert Story([latch, *others, own]).reset_of(latch) == own
 
 
-def test_a_clock_that_is_set_back_leaves_the_order() -> None:
-    """A time that comes twice is the later one; the last stop is the last, whatever its time."""
-    first = entry(EntryKind.STOP, 100, "stopping", tick=10, reason=Reason.DEADMAN)
-    clock = msgspec.structs.replace(entry(EntryKind.CLOCK, 50, "set", tick=11), last_ns=150)
-    last = entry(EntryKind.STOP, 60, "stopping", tick=20, reason=Reason.REMOTE_STOP)
-    end = entry(EntryKind.END, 70, "stopping", tick=30, reason=Reason.DISENGAGED)
-    story = Story([first, clock, last])
-    assert story.last_stop() == Story([first, clock, last, end]).last_stop() == last
-    assert [story.order_ns(at_ns) for at_ns in (40, 60, 100, 200)] == [40, 160, 200, 300]
-    assert story.stop_before(60) == last
-    assert not story.is_steady(60)
-
-
 def test_of_two_gateways_under_one_name_no_answer_is_given(path: Path) -> None:
-    """Which of them did what, no log tells."""
     rig, _ = RecordedRig.driving(run=1)
     other = RecordedRig.beginning(rig.at_ns + SECOND, 2)
     other.run(1.0)
@@ -474,5 +448,4 @@ def test_of_two_gateways_under_one_name_no_answer_is_given(path: Path) -> None:
     ],
 )
 def test_a_length_of_time_is_as_fine_as_it_is_short(ns: int, text: str) -> None:
-    """Three digits or so."""
     assert span(ns) == text

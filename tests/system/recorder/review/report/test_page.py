@@ -43,7 +43,6 @@ POLICY: Final = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """Of two robots, in which every text is an attack."""
     path = tmp_path_factory.mktemp("log") / "<b>a&b.mcap"
     found = report_of(write_messages(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
     return msgspec.structs.replace(found, faults=[HOSTILE], fault_count=3)
@@ -68,7 +67,6 @@ def _forget_refused(requests: list[str], failed: Request) -> None:
 
 
 def open_page(context: BrowserContext, directory: Path, html: str) -> Opened:
-    """Open a page until its charts are drawn."""
     file = directory / "report.html"
     file.write_text(html)
     opened = Opened(context.new_page(), [], [])
@@ -89,7 +87,6 @@ def opened(report: Report, running_browser: Browser, tmp_path_factory: pytest.Te
 
 
 def test_charts_are_drawn_and_nothing_is_complained_about(opened: Opened) -> None:
-    """Two charts for each robot, with lines, bands and marks in them; the console is empty."""
     assert opened.console == []
     charts = re.split(r'id="(?:map|time)-\d"', opened.dom)[1:]
     assert len(charts) == 4
@@ -103,12 +100,10 @@ def test_charts_are_drawn_and_nothing_is_complained_about(opened: Opened) -> Non
 
 
 def test_the_page_asks_for_nothing(opened: Opened) -> None:
-    """Neither of its own accord nor of the log's."""
     assert [url for url in opened.requests if not url.startswith(("file:", "data:"))] == []
 
 
 def test_hostile_text_is_shown_as_text(opened: Opened) -> None:
-    """In tables, headings and charts: no script of the log's has run, and no element of its has come to be."""
     assert "data-owned" not in opened.dom
     elements = Elements(opened.dom)
     assert not any("evil" in (attributes.get("src") or "") for attributes in elements.of("img"))
@@ -116,7 +111,6 @@ def test_hostile_text_is_shown_as_text(opened: Opened) -> None:
 
 
 def test_pointing_at_a_time_marks_the_place_on_that_robots_map(opened: Opened) -> None:
-    """In the middle of a drive of 10 m."""
     opened.page.evaluate(POINT)
     wait_until(lambda: opened.page.evaluate(GHOSTS)[1])
     first, second = opened.page.evaluate(GHOSTS)

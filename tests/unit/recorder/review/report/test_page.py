@@ -48,7 +48,6 @@ from tests.support.reading import report_of
 
 
 def series_of(*samples: tuple[int, float], limit: int = 1500) -> list[Point | None]:
-    """The line of these samples, at milliseconds."""
     series = Series(limit)
     for time_ms, value in samples:
         series.add(time_ms * MS, value)
@@ -73,7 +72,6 @@ def test_bounds_and_ends_survive_whatever_the_order(values: list[float], random:
 
 
 def test_a_silence_breaks_the_line() -> None:
-    """And nothing else does."""
     times_ms = (0, 100, 200, 300, 3000, 3100)
     found = series_of(*((time_ms, float(time_ms)) for time_ms in times_ms))
     assert [None if point is None else point[1] for point in found] == [0, 100, 200, 300, None, 3000, 3100]
@@ -88,7 +86,6 @@ def test_a_silence_breaks_the_line() -> None:
     ],
 )
 def test_a_value_holds_until_another_comes(samples: str, found: str) -> None:
-    """Across a silence nothing is known; an empty value leaves a hole; what comes late is passed over."""
     spans = Spans()
     for sample in samples.split(", "):
         time_ms, _, value = sample.partition(" ")
@@ -97,7 +94,6 @@ def test_a_value_holds_until_another_comes(samples: str, found: str) -> None:
 
 
 def test_a_long_drive_keeps_a_bounded_number_of_places_near_the_path() -> None:
-    """Ten hours in a circle: few places, each on the circle, the last one where it ends."""
     path = DrivenPath()
     radius_m = 0.660 / tan(radians(10))
     for number in range(10 * 3600 * 5):
@@ -117,12 +113,10 @@ REMOTE = "the remote control has the robot"
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """Of a short drive."""
     return report_of(write_messages(tmp_path_factory.mktemp("log") / "a.mcap", drive_messages(201)))
 
 
 def changed(report: Report, **changes: object) -> Report:
-    """With other figures of its robot."""
     (robot,) = report.robots
     summary = msgspec.structs.replace(robot.summary, **changes)
     return msgspec.structs.replace(report, robots=[msgspec.structs.replace(robot, summary=summary)])
@@ -156,36 +150,30 @@ def changed(report: Report, **changes: object) -> Report:
     ],
 )
 def test_the_verdict(report: Report, changes: dict[str, Any], said: str) -> None:
-    """Distance, drives, stops by cause, normal ends."""
     (robot,) = changed(report, **{"ends_commanding": False} | changes).robots
     assert verdict(robot) == said
 
 
 def drawn_of(robot: RobotReport) -> dict[str, Any]:
-    """Its charts."""
     (drawn,) = robot.drawn
     return figures(robot.summary, drawn)
 
 
 def robot_of(tmp_path: Path, *more: object) -> RobotReport:
-    """Of a short drive, and what else is given."""
     messages = [*drive_messages(100), *more]
     return report_of(write_messages(tmp_path / "a.mcap", messages)).robots[0]  # type: ignore[arg-type]
 
 
 def with_charts(robot: RobotReport, drawn: Drawn) -> dict[str, Any]:
-    """The charts of a robot of which this is known."""
     return figures(robot.summary, drawn)
 
 
 def line_of(found: dict[str, Any], key: str) -> list[tuple[int, float | None]]:
-    """Times, since the robot's first, and values of a line."""
     steps, values = found["lines"][LINES.index(key)]
     return list(zip((time_ms - found["from_ms"] for time_ms in accumulate(steps)), values, strict=True))
 
 
 def test_a_line_has_the_values_of_its_time_and_breaks_off(tmp_path: Path) -> None:
-    """Where it breaks there is no value right behind the last one."""
     robot = robot_of(tmp_path)
     begin = robot.summary.start_ns
     points = [(begin, 1.0), (begin + 20 * MS, 1.00049), None, (begin + 900 * MS, 2.0)]
@@ -198,7 +186,6 @@ def test_a_line_has_the_values_of_its_time_and_breaks_off(tmp_path: Path) -> Non
 
 
 def test_what_a_log_says_rules_no_line(tmp_path: Path) -> None:
-    """It is shown as text, which the page's tests see; characters that rule the line are written out."""
     hostile = event(101, text=HOSTILE, operator="a\x1b[31m\nb")
     holders = [arbiter(101 + number, lease_holder=HOSTILE) for number in range(3)]
     encoded = msgspec.json.encode(drawn_of(robot_of(tmp_path, hostile, *holders))).decode()
@@ -233,7 +220,6 @@ def hostile_drive() -> list[Message]:
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """Of two robots, in which every text is an attack."""
     path = tmp_path_factory.mktemp("log") / "<b>a&b.mcap"
     found = report_of(write_messages(path, hostile_drive(), robots=["cruiser-1", "cruiser-2"]))
     return msgspec.structs.replace(found, faults=[HOSTILE], fault_count=3)
@@ -248,11 +234,9 @@ class Elements(HTMLParser):
         self.feed(html)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """One more element."""
         self.found.append((tag, dict(attrs)))
 
     def of(self, tag: str) -> Iterator[dict[str, str | None]]:
-        """The attributes of the elements of this name."""
         return (attributes for name, attributes in self.found if name == tag)
 
 
@@ -268,7 +252,6 @@ def test_the_page_names_nothing_outside_itself(hostile: Report) -> None:
 
 
 def test_no_script_but_the_pages_own_may_run(hostile: Report) -> None:
-    """The policy names the hash of each; the licence of the library is there, as it demands."""
     html = page(hostile)
     scripts = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
     assert len(scripts) == 2
@@ -286,7 +269,6 @@ def test_a_page_is_no_load_for_a_mailbox(tmp_path: Path) -> None:
 
 
 def test_the_page_can_be_read_without_seeing_it(hostile: Report) -> None:
-    """Language, headings in order, charts that are named, tables with captions and heads."""
     html = page(hostile)
     elements = Elements(html)
     assert next(elements.of("html"))["lang"] == "en"
@@ -302,7 +284,6 @@ def test_the_page_can_be_read_without_seeing_it(hostile: Report) -> None:
 
 
 def test_the_verdict_comes_first(tmp_path: Path) -> None:
-    """The sentence, the figures, and the worst moment with its link stand before all charts and tables."""
     log = [gateway_info(0, "a = 1\n"), *restart(100, 60), gateway_info(160, "a = 2\n")]
     html = page(report_of(write_messages(tmp_path / "a.mcap", sorted(log, key=lambda one: one.time_ns))))
     before, _, after = html.partition(">Path<")
@@ -316,7 +297,6 @@ def test_the_verdict_comes_first(tmp_path: Path) -> None:
 
 
 def test_errors_are_shown_however_many_events_there_are(hostile: Report) -> None:
-    """The table has room for so many; those that matter least are left out."""
     robot = hostile.robots[0]
     lease = msgspec.structs.replace(robot.moments[0], severity=Severity.INFO, kind=EntryKind.LEASE)
     death = msgspec.structs.replace(
@@ -333,7 +313,6 @@ def test_errors_are_shown_however_many_events_there_are(hostile: Report) -> None
 
 @given(st.recursive(st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
 def test_json_in_a_script_stays_json_and_ends_no_script(value: object) -> None:
-    """Whatever is in it."""
     encoded = safe_json(value)
     assert json.loads(encoded) == value
     assert not set(encoded) & set("<>&\u2028\u2029")
@@ -341,7 +320,6 @@ def test_json_in_a_script_stays_json_and_ends_no_script(value: object) -> None:
 
 @given(st.text())
 def test_text_is_never_markup(value: str) -> None:
-    """Nor does it hold a character that rules the line."""
     shown = text(value)
     assert not set(shown) & set("<>\"'")
     assert shown.isprintable()
