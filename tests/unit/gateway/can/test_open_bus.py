@@ -181,7 +181,7 @@ def test_a_serial_adapter_without_pyserial_says_what_to_install(monkeypatch: pyt
 
 
 def given(interface: str, channel: str, **options: bool) -> CanSettings:
-    return CanSettings(interface=interface, channel=channel, options=options)
+    return CanSettings(interface=interface, channel=channel, options={**options})
 
 
 @pytest.mark.parametrize(
