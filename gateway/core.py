@@ -6,8 +6,8 @@
                time    > ``tick``            > arbitrate, encode, gate     > frames, replies, Samples
                the bus > ``sent``            > counters advance            > decisions
 
-Each call returns what is to be done; the loop does it. Every call is written into the journal: run again with the
-same inputs, the core does the same.
+Each call returns what is to be done; the loop does it. Every call is recorded in the journal: with the same
+inputs, the core does the same again.
 """
 
 from __future__ import annotations
@@ -56,24 +56,24 @@ from schemas.settings import (
 CONFIGURED_VARIANT: Final = {"auto": Variant.UNKNOWN, "coarse": Variant.COARSE, "fine": Variant.FINE}
 
 REST_PERIOD_NS: Final = 60_000_000_000
-"""Period at which the journal says what a gateway at rest is remembered by."""
+"""Period of snapshots in the journal while the gateway is at rest."""
 
 REST_LOOK_NS: Final = 1_000_000_000
-"""Period at which the core looks whether the gateway is at rest."""
+"""Period at which the core checks whether the gateway is at rest."""
 
 CHECKPOINT_PERIOD_NS: Final = 60_000_000_000
-"""Period at which the journal holds the whole state, at rest or not."""
+"""Period of checkpoints, the whole state, in the journal."""
 
 RX, TX = "can/{bus}/rx", "can/{bus}/tx"
 
 
 class Core:
-    """The gateway without its surroundings."""
+    """The gateway without I/O."""
 
     def __init__(
         self, chassis: Chassis, settings: Settings, gateway_version: str, now_ns: int, run: int = 0
     ) -> None:
-        """Begin in standby; a gateway that only listens has no command flow. The run is a random number."""
+        """Begin in standby; a listening gateway has no command flow. ``run`` is a random number."""
         self._health = HealthMeter(gateway_version, settings.can.bus, now_ns)
         kept = BATCH_MAX_FRAMES if settings.can.raw_frames else 0
         self._received = FrameBatch(settings.can.bus, kept)
@@ -90,7 +90,7 @@ class Core:
         self._commands = {message.can_id for message in layout.commands}
         self._motion_commands = {layout.messages[name].can_id for name in chassis.motion_frames}
         self._known = self._streams.keys() | self._commands
-        # All variants, here and once: to compile a decoder takes a millisecond, too long for the loop.
+        # All variants once: compiling a decoder takes a millisecond, too long for the loop.
         self._scaled = [
             (
                 self._streams[layout.messages[name].can_id],
@@ -117,16 +117,16 @@ class Core:
 
     @property
     def variant(self) -> Variant:
-        """The firmware variant in force; UNKNOWN while there is no evidence, or evidence against it."""
+        """The firmware variant in force; UNKNOWN without evidence, or with evidence against it."""
         return self._detector.in_force
 
     @property
     def newest_frames(self) -> list[Frame]:
-        """The newest valid feedback frame of each identifier; when they came is not told."""
+        """The newest valid feedback frame of each identifier, without its time."""
         return [Frame(can_id, one.data, 0) for can_id, one in self._streams.items() if one.data is not None]
 
     def receive_frame(self, frame: Frame, now_ns: int) -> Sample | None:
-        """A frame came from the bus. Returns the decoded sample, if the frame is a valid feedback frame."""
+        """Take a frame from the bus. Returns the decoded sample of a valid feedback frame."""
         self._received.add(frame)
         if self._journal is not None:
             self._journal.add((FRAME, now_ns, frame))
@@ -144,7 +144,7 @@ class Core:
         return sample
 
     def receive_request(self, request: RawRequest, now_ns: int) -> None:
-        """A request came. It is judged at the next tick."""
+        """Take a request. It is judged at the next tick."""
         if self._journal is None:
             return
         said = (request.handle, request.verb, request.operator, request.payload, request.size, request.fault)
@@ -153,17 +153,17 @@ class Core:
         self._requests.append(request)
 
     def update_links(self, links: Links, now_ns: int) -> None:
-        """Take over the newest state of the bus, of Zenoh and of the guard."""
+        """Take the newest state of bus, Zenoh and guard."""
         before, self._links = self._links, links
         if links.bus_losses != before.bus_losses:
-            # On its return it may have another chassis, or one that the remote control has taken meanwhile.
+            # A returned bus may have another chassis, or one that the remote control took meanwhile.
             for stream in self._streams.values():
                 stream.forget()
             self._detector.reset()
             self._health.controller = ControllerState.UNKNOWN
             self._apply_variant()
         if links.guard_sends or links.guard_stops != before.guard_stops:
-            # What was heard meanwhile may have been the guard's.
+            # The commands received meanwhile may have been the guard's.
             self._commander_ns = None
         told = _told(links)
         if self._journal is not None and told != self._told:
@@ -171,9 +171,9 @@ class Core:
         self._told = told
 
     def tick(self, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes) -> TickEffects:
-        """Every 10 ms. Returns what is due: commands, raw frames, state, health.
+        """Run the 10 ms tick. Returns what is due: commands, raw frames, state, health.
 
-        The challenge is of random bytes, never given before: a command that echoes them was made after this.
+        The challenge is new random bytes: a command that echoes them was made after this tick.
         """
         self._health.tick_lateness(late_ns)
         for stream in self._streams.values():
@@ -205,7 +205,7 @@ class Core:
         return due
 
     def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
-        """The bus took so many of the tick's frames. Returns the decisions of the tick."""
+        """Note how many of the tick's frames the bus accepted. Returns the decisions of the tick."""
         if self.command is None or self._journal is None:
             return []
         self._journal.add((Kind.SENT, now_ns, count, wall_ns))
@@ -214,118 +214,114 @@ class Core:
         self._offered = []
         decisions = self.command.sent(count, now_ns, wall_ns)
         if now_ns >= self._checkpoint_due_ns:
-            # The tick's frames are out: only the beat to the guard waits, for a millisecond or two.
+            # The tick's frames are sent: only the beat to the guard waits, for one or two milliseconds.
             self._checkpoint_due_ns = now_ns + CHECKPOINT_PERIOD_NS
             self._journal.add((Kind.CHECKPOINT, now_ns, wall_ns, _STATE.encode(checkpoint(self))))
         return decisions
 
     def resume(self, state: bytes) -> None:
-        """From here on this new core is the one of which a checkpoint was taken, with the same settings.
-
-        Raises:
-            CheckpointError: the checkpoint is damaged, or of another version.
-        """
+        """Bring this new core, with the same settings, into the state of a checkpoint. Raises CheckpointError."""
         resume(self, state)
         for stream, decoders in self._scaled:
             stream.decoder = decoders.get(self.variant)
 
     def look_from(self, links: Links, controller: ControllerState) -> None:
-        """A new core begins in the midst of a run: with these around it, which are no news."""
+        """Seed a core that starts mid-run with the current link and controller state, reporting no change."""
         self._links, self._told = links, _told(links)
         self._health.controller = controller
 
     def _arbiter(self, kind: Kind, now_ns: int, *values: object) -> Arbiter | None:
-        """Write down what the arbiter is given now. Returns the arbiter; None if the gateway only listens."""
+        """Record an input of the arbiter. Returns the arbiter; None if the gateway only listens."""
         if self.command is None or self._journal is None:
             return None
         self._journal.add((kind, now_ns, *values))
         return self.command.arbiter
 
     def last_batches(self, wall_ns: int) -> list[Sample]:
-        """The gateway ends: the raw frames and the journal that have not been published yet."""
+        """Return the raw frames and the journal that are not published yet, at the end."""
         samples: list[Sample] = []
         self._take_batches(samples, wall_ns)
         return samples
 
     def latch_guard_stop(self, words: str, now_ns: int) -> None:
-        """The guard stopped the robot before this start, and nobody has reset that: latched, with these words."""
+        """Latch a stop of the guard from before this start, with these words."""
         if arbiter := self._arbiter(Kind.GUARD_STOP, now_ns, words):
             arbiter.engagement.latch(Reason.GUARD, words, now_ns)
 
     def note_crash(self, now_ns: int) -> None:
-        """The gateway before this one did not end in order: the first robot that is found moving is latched."""
+        """Note that the previous gateway crashed: the first uncommanded motion is latched."""
         if arbiter := self._arbiter(Kind.CRASHED, now_ns):
             arbiter.engagement.is_after_crash = True
 
     def warn(self, words: str, now_ns: int) -> None:
-        """Report a finding of the start as an event, in these words."""
+        """Report these words as an event."""
         if arbiter := self._arbiter(Kind.WARNING, now_ns, words):
             arbiter.outbox.add_event(Severity.WARNING, EventKind.FAULT, Reason.NONE, words)
 
     def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
-        """Take the lease from its holder, whose grant does not hold any more."""
+        """End the lease, because its holder's grant is no longer valid."""
         if arbiter := self._arbiter(Kind.END_LEASE, now_ns, reason, detail):
             arbiter.end_lease(reason, detail, now_ns)
 
     def bar(self, bars: dict[Reason, str], now_ns: int) -> None:
-        """Nobody may engage the robot for these reasons, each with its words; none lets them again."""
+        """Forbid engaging for these reasons, each with its words; an empty dict allows it again."""
         if arbiter := self._arbiter(Kind.BARS, now_ns, bars):
             arbiter.engagement.bars = bars
 
     @property
     def bars(self) -> dict[Reason, str]:
-        """The reasons outside the command flow why nobody may engage the robot, each with its words."""
+        """The reasons outside the command flow against engaging, each with its words."""
         return {} if self.command is None else self.command.arbiter.engagement.bars
 
     def challenge_age_ns(self, challenge: bytes, now_ns: int) -> int | Reason:
-        """The time since a challenge was published, or why it is not known."""
+        """The time since a challenge was published, or why it is unknown."""
         if self.command is None:
             return Reason.CHALLENGE_UNKNOWN
         return self.command.arbiter.link.challenges.age_ns(challenge, now_ns)
 
     def shut_down(self, now_ns: int) -> None:
-        """The gateway is to end: bring the robot to rest. ``is_at_rest`` says when that is done."""
+        """Bring the robot to rest before the end. ``is_at_rest`` is true when that is done."""
         if arbiter := self._arbiter(Kind.SHUT_DOWN, now_ns):
             arbiter.engagement.shut_down(now_ns)
 
     def hears_commands(self, now_ns: int) -> bool:
-        """Return True if somebody else commands the chassis: another computer, or a guard."""
+        """Return True if another computer or a guard commands the chassis."""
         return self._motion_ns is not None and now_ns - self._motion_ns < COMMANDER_NS
 
     @property
     def lease_holder(self) -> str:
-        """The operator who holds the lease; empty if nobody does."""
+        """The operator who holds the lease; empty if there is none."""
         lease = self.command.arbiter.leases.held if self.command is not None else None
         return lease.operator if lease is not None else ""
 
     @property
     def lease_id(self) -> int:
-        """The identifier of the lease in force; 0, which is no lease's, if there is none."""
+        """The identifier of the lease in force; 0 if there is none."""
         lease = self.command.arbiter.leases.held if self.command is not None else None
         return lease.id if lease is not None else 0
 
     @property
     def last_sequence(self) -> int:
-        """Of the last drive that was accepted under the lease in force."""
+        """The sequence of the last drive accepted under this lease; -1 if none."""
         return self.command.arbiter.link.last_sequence if self.command is not None else -1
 
     def may_start_again(self, now_ns: int) -> bool:
-        """Return True if the gateway may be away for seconds: the robot stands, and nobody holds its lease."""
+        """Return True if the gateway may be away for seconds: the robot stands, and its lease is free."""
         return self.command is None or may_start_again(self.command, now_ns)
 
     def take_over(self, former: Carried, now_ns: int) -> None:
-        """Begin where the gateway before this one ended: what was latched stays latched until a reset."""
+        """Continue from the state of the previous gateway: latches stay until a reset."""
         if arbiter := self._arbiter(Kind.CARRIED, now_ns, msgspec.structs.astuple(former)):
             take_over(arbiter, former, now_ns)
 
     @property
     def is_at_rest(self) -> bool:
-        """Nothing is sent on the bus."""
+        """No command is sent on the bus."""
         return self.command is None or self.command.arbiter.state is ArbiterState.STANDBY
 
     @property
     def is_held_by_motor(self) -> bool:
-        """A stop is under way that does not end by itself: the motor alone holds the robot."""
+        """A stop cannot end, because only the motor holds the robot."""
         return self.command is not None and self.command.arbiter.engagement.is_held_by_motor
 
     def _command(
@@ -343,7 +339,7 @@ class Core:
         return due
 
     def _remember(self, command: CommandFlow, journal: JournalWriter, now_ns: int) -> None:
-        """If the gateway is at rest, the journal can begin here as well as at the start."""
+        """Write a snapshot if the gateway is at rest, so that a rerun can begin here."""
         self._rest_due_ns = now_ns + REST_LOOK_NS
         if is_at_rest(command, now_ns):
             self._rest_due_ns = now_ns + REST_PERIOD_NS
@@ -360,11 +356,11 @@ class Core:
             samples.append(sample_of(journal))
 
     def _receive_other(self, frame: Frame, now_ns: int) -> None:
-        """A frame that is no feedback. A command frame of another computer is no fault: it may own the bus."""
+        """Take a frame that is no feedback. Another computer's command frame is no fault: it may own the bus."""
         if frame.can_id in self._commands:
             if frame.can_id not in self._motion_commands:
-                return  # Lamps and horn move nobody.
-            # The guard's are ours: taken for another's, a chassis that it leaves would count as taken over.
+                return  # Lamps and horn do not move the robot.
+            # The guard's frames are ours: as another computer's, the chassis would count as taken over.
             if check(frame) is None:
                 self._motion_ns = now_ns
                 if not self._links.guard_sends:
@@ -386,7 +382,7 @@ class Core:
             self._apply_variant()
 
     def _apply_variant(self) -> None:
-        """Give the frames whose scale depends on the variant their decoder, or none while it is in doubt."""
+        """Set the decoders of the scaled frames; none while the variant is in doubt."""
         variant = self.variant
         for stream, decoders in self._scaled:
             stream.withhold()
@@ -410,14 +406,14 @@ class Core:
 _STATE: Final = msgspec.msgpack.Encoder()
 
 _told: Final[Callable[[Links], tuple[Any, ...]]] = attrgetter(*LINKS)
-"""The links that the command flow decides by, and the journal holds."""
+"""The links that the command flow depends on, as in the journal."""
 
 
 def as_linked(seen: ChassisState, links: Links) -> ChassisState:
-    """The chassis, as it was seen on the bus, with what the loop knows of the bus and the guard."""
+    """Add the state of bus and guard to the chassis as seen on the bus."""
     return msgspec.structs.replace(seen, **dict(zip(LINKS, _told(links), strict=True)))
 
 
 def _next_due(due_ns: int, period_ns: int, now_ns: int) -> int:
-    """The next multiple of the period after now: a late tick is made up for once, not many times."""
+    """The next multiple of the period after now: after a late tick there is one, not several."""
     return due_ns + period_ns * ((now_ns - due_ns) // period_ns + 1)

@@ -1,15 +1,13 @@
 """The journal of a core's inputs, and its checkpoints. Pure.
 
 With the configuration and the run number the journal is enough to run the core again: see ``gateway.rerun``. An
-input is an array: its kind, the monotonic time, and what the core's method of that kind was given. Once a
-minute, while the gateway is at rest, it says what it would have to be remembered by, so that what follows is
-enough.
+input is an array: its kind, the monotonic time, and the arguments of the core's method of that kind. Once a
+minute, while the gateway is at rest, the journal has a snapshot, from which a rerun can begin.
 
-A checkpoint is the whole state of the core as plain values, by classes and attributes. Every log has these
-names in it: classes and attributes can be moved and renamed in the code, an alias stays what the class was
-called when it was first in a checkpoint. What a core is made with and never changes, such as decoders, layouts
-and functions, is left out. Nothing in a checkpoint is code, and no class outside of the table can be made from
-it.
+A checkpoint is the whole state of the core as plain values, by class and attribute names. Logs contain these
+names, so a class keeps its first name as an alias when it is moved or renamed. Parts that never change, such as
+decoders, layouts and functions, are left out. A checkpoint contains no code, and only classes of the table can be
+made from it.
 """
 
 from __future__ import annotations
@@ -91,14 +89,14 @@ LINKS: Final = (
     "realtime",
     "guard_says",
 )
-"""The links that the command flow decides by. Older journals hold the first six only."""
+"""The links that the command flow depends on. Older journals hold only the first six."""
 
 FRAME: Final = Kind.FRAME.value
-"""Of all kinds this one is written 7,500 times a second, and a plain integer is encoded in half the time."""
+"""A plain integer, because it is written up to 7,500 times a second and encoded in half the time."""
 
 
 class JournalWriter:
-    """Gathers inputs until they are taken."""
+    """Collects inputs until they are taken."""
 
     def __init__(self, run: int) -> None:
         self._run = run
@@ -108,7 +106,7 @@ class JournalWriter:
         self.add = self._inputs.append
 
     def take(self, wall_ns: int) -> Journal | None:
-        """The inputs since the last time, as one message; None if there are none."""
+        """Return the inputs since the last call as one message; None if there are none."""
         inputs = self._inputs
         if not inputs:
             return None
@@ -132,7 +130,7 @@ _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
 
 class BrokenJournalError(ValueError):
-    """An input that cannot be given to a core: the log was damaged, or a newer version wrote it."""
+    """An input that a core cannot take: the log is damaged, or from a newer version."""
 
 
 class JournalGapError(BrokenJournalError):
@@ -140,11 +138,9 @@ class JournalGapError(BrokenJournalError):
 
 
 def follow(journals: Iterable[Journal], first: int | None = None) -> Iterator[Input]:
-    """The inputs of a run's journals, in their order, from this place on; None takes it as it comes.
+    """The inputs of a run's journals in order, from this place on; None begins with the first journal.
 
-    Raises:
-        JournalGapError: some are missing, or another run begins.
-        BrokenJournalError: one cannot be read.
+    Raises JournalGapError: some are missing, or another run begins. BrokenJournalError: one cannot be read.
     """
     run, expected = None, first
     for journal in journals:
@@ -152,18 +148,14 @@ def follow(journals: Iterable[Journal], first: int | None = None) -> Iterator[In
             raise JournalGapError(f"run {run} ends after {expected} inputs, and run {journal.run} begins")
         run, expected = journal.run, journal.first if expected is None else expected
         if journal.first != expected:
-            cure = "" if expected else "; a run is run again from its first input alone, and the log begins later"
+            cure = "" if expected else "; a rerun needs the first input, and the log begins later"
             raise JournalGapError(f"inputs {expected} to {journal.first - 1} are missing{cure}")
         expected += journal.count
         yield from inputs_of(journal)
 
 
 def inputs_of(journal: Journal) -> list[Input]:
-    """The inputs that a message holds.
-
-    Raises:
-        BrokenJournalError: they cannot be read.
-    """
+    """The inputs of a message. Raises BrokenJournalError: they cannot be read."""
     try:
         return _DECODER.decode(journal.inputs)
     except (ValueError, RecursionError) as error:  # Not UTF-8, or nested too deeply, as msgspec raises it too.
@@ -250,10 +242,10 @@ CLASSES: Final[dict[str, type]] = {
     "WheelPulse": WheelPulse,
     "WheelSpeed": WheelSpeed,
 }
-"""No other class is ever made from a checkpoint. What else a core refers to is left out: a new core has it."""
+"""No other class is made from a checkpoint. Objects of other classes are left out: a new core has them."""
 
 RENAMED: Final[dict[str, dict[str, str]]] = {}
-"""By alias: attributes that were renamed, and what checkpoints call them."""
+"""By alias: renamed attributes, with their names in checkpoints."""
 
 ADDED: Final[dict[str, tuple[str, ...]]] = {
     "ChassisMonitor": ("_driven_ns",),
@@ -261,12 +253,12 @@ ADDED: Final[dict[str, tuple[str, ...]]] = {
     "Core": ("_odometry", "_odometry_due_ns"),
     "Encoders": ("_crept", "_pause"),
 }
-"""By alias: attributes that earlier checkpoints lack. A new core's are taken: no decision depends on them, or none
-but that on a robot which creeps behind its brake, for the seconds after the checkpoint."""
+"""By alias: attributes that earlier checkpoints lack; a new core's values are used. No decision depends on them,
+except for a robot that creeps behind its brake, in the seconds after the checkpoint."""
 
 
 Tree = Any
-"""A plain value, or a list: the kind, and what belongs to it."""
+"""A plain value, or a list: the kind and its contents."""
 
 _PLAIN: Final = (bool, int, float, str, bytes, type(None))
 
@@ -285,23 +277,22 @@ _OBJECT, _STRUCT, _ENUM, _RANDOM, _SEEN, _CONSTANT, _VALUE = (
 )
 
 _ROOT: Final = "Core"
-"""The alias of the whole, which stands in no table: its class imports this module."""
+"""The alias of the core, not in the table because its class imports this module."""
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that is damaged, or of a version whose core holds other things."""
+    """A checkpoint that is damaged, or from a version with another state."""
 
 
 def checkpoint(root: object) -> Tree:
-    """Return the whole state of an object and of all behind it: plain values that share nothing with it."""
+    """Return the whole state of an object as plain values that share nothing with it."""
     return _Taking(root).take_object(root, _OBJECT, _ROOT)
 
 
 def resume(root: object, state: bytes) -> None:
     """Bring a new object, made with the same arguments, into the state of a checkpoint.
 
-    Raises:
-        CheckpointError: it does not fit. The object is of no use any more.
+    Raises CheckpointError: it does not fit, and the object is unusable.
     """
     try:
         _Restoring().restore_root(msgspec.msgpack.decode(state), root)
@@ -312,7 +303,7 @@ def resume(root: object, state: bytes) -> None:
 
 
 class _Taking:
-    """One pass over everything. What can change is numbered; where it is met again, its number stands."""
+    """One pass over the state. Mutable objects are numbered; a repeated one is stored by its number."""
 
     def __init__(self, root: object) -> None:
         self._numbers = {id(root): 0}
@@ -353,7 +344,7 @@ class _Taking:
 
 
 class _Restoring:
-    """The same pass over a checkpoint and a new object at once."""
+    """The same pass, over a checkpoint and a new object together."""
 
     def __init__(self) -> None:
         self._seen: list[Any] = []
@@ -366,7 +357,7 @@ class _Restoring:
         self._object(type(root), _ROOT, stored, root)
 
     def restore(self, kept: Tree, new: Any) -> Any:  # noqa: ANN401 - of any kind
-        """Return what the checkpoint holds: the new object itself, changed, where it is of that kind."""
+        """Return the stored value: the new object itself, changed, if it is of that kind."""
         if not isinstance(kept, list):
             return kept
         tag, *contents = kept
@@ -377,7 +368,7 @@ class _Restoring:
         if tag == _ENUM:
             return _class(contents[0], Enum)(contents[1])
         if id(new) in self._used:
-            # What was one object at first had become two.
+            # One initial object had become two.
             new = None
         self._used.add(id(new))
         if tag == _OBJECT:
@@ -422,7 +413,7 @@ class _Restoring:
             self._seen[place] = made
         return made
 
-    # Containers are made anew: one that a new core begins with may be everybody's.
+    # Containers are always new: a default one may be shared.
 
     def _dict(self, kind: type[dict[Any, Any]], kept: list[Tree], new: object) -> dict[Any, Any]:
         before = dict(new) if isinstance(new, dict) else {}
@@ -453,7 +444,7 @@ _TAGS: Final[dict[type, str]] = {}
 
 
 def _tag(kind: type) -> str:
-    """The kind of a value, as a checkpoint names it; found once for each class."""
+    """The kind of a value in a checkpoint; cached by class."""
     tag = _TAGS.get(kind)
     if tag is None:
         tag = _TAGS[kind] = _tag_of(kind)
@@ -479,17 +470,14 @@ def _is_immutable(kind: type) -> bool:
 
 
 def _names(value: object) -> list[str]:
-    """The attributes of an object that is no Struct, in the order in which they were set.
-
-    But for the chassis: it is never the state of anything, and logs of before do not name it.
-    """
+    """The attributes of an object that is no Struct, in order, without the chassis, which is no state."""
     slots = [name for kind in type(value).__mro__ for name in getattr(kind, "__slots__", ())]
     names = [*getattr(value, "__dict__", ()), *(name for name in slots if hasattr(value, name))]
     return [name for name in names if type(getattr(value, name)) is not Chassis]
 
 
 def _alias(name: str) -> str:
-    """The alias in a name of a checkpoint: the whole, or in logs of before what follows ``module:``."""
+    """The alias in a checkpoint's name: all of it, or in earlier logs the part after ``module:``."""
     return name.rpartition(":")[2]
 
 

@@ -35,23 +35,23 @@ log = logging.getLogger(__name__)
 MS: Final = 1_000_000
 
 LEVELS: Final = {Severity.INFO: logging.INFO, Severity.WARNING: logging.WARNING, Severity.ERROR: logging.ERROR}
-"""Levels of events in the robot's own log."""
+"""Log levels of events."""
 
 BURST_MAX_FRAMES: Final = 32
-"""Frames taken at a time, so that a bus that never falls silent cannot keep the tick waiting."""
+"""Frames read at a time, so that a busy bus cannot delay the tick."""
 
 NO_GUARD: Final = GuardView()
 
 SELDOM_TICKS: Final = 10
-"""Connected nodes and real-time priority are asked for in every tenth tick: asking takes time."""
+"""Period in ticks of slow queries: connected nodes and real-time priority."""
 
 
 CATCH_UP_BURSTS: Final = 256
-"""Bursts that are read before the first tick after a pause: all of a second of a saturated bus."""
+"""Most bursts read before the first tick after a pause: a second of a saturated bus."""
 
 
 class FrameSource(Protocol):
-    """The bus, as the loop sees it: it never fails, it is up or it is not."""
+    """The bus. Its methods never raise: it is up or down."""
 
     is_up: bool
     detail: str
@@ -59,138 +59,112 @@ class FrameSource(Protocol):
 
     @property
     def drops(self) -> int:
-        """Frames that were dropped before they were read, since the start."""
-        ...
+        """Frames dropped before they were read, since the start."""
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if there was none in time."""
-        ...
+        """The next frame, or None after the timeout."""
 
     def send(self, frames: list[Frame]) -> int:
-        """Hand frames to the bus. Returns how many it took, up to the first that it did not."""
-        ...
+        """Send frames. Returns how many the bus accepted, up to the first that it did not."""
 
 
 class SampleSink(Protocol):
-    """Zenoh, as the loop sees it: it never fails and never blocks."""
+    """Zenoh. Its methods never raise and never block."""
 
     @property
     def failures(self) -> int:
-        """Samples that Zenoh did not take."""
-        ...
+        """Samples that Zenoh did not accept."""
 
     def publish(self, sample: Sample) -> None:
-        """Hand a sample to Zenoh."""
-        ...
+        """Publish a sample."""
 
     def peers(self) -> int:
-        """Nodes connected directly."""
-        ...
+        """Directly connected nodes."""
 
     def outside(self) -> tuple[str, ...]:
-        """The other ends of connections that leave this machine."""
-        ...
+        """The remote ends of connections that leave this machine."""
 
     def answer(self, reply: Callable[[], bytes]) -> None:
-        """Answer the queries that wait, a bounded number."""
-        ...
+        """Answer waiting queries, a bounded number."""
 
 
 class RequestInbox(Protocol):
-    """Where requests wait, as the loop sees it: it never fails and never blocks."""
+    """Waiting requests. Its methods never raise and never block."""
 
     @property
     def drops(self) -> int:
-        """Requests that were dropped unread since the start, because too many came."""
-        ...
+        """Requests dropped unread since the start, because there were too many."""
 
     def drain(self, holder: str, lease: int, after: int) -> list[RawRequest]:
-        """The requests that wait, stops first, a bounded number; the holder's of the lease before others'."""
-        ...
+        """Return waiting requests, a bounded number: stops first, then the lease holder's."""
 
     def statements(self) -> list[RawRequest]:
-        """The statements of an authority that wait, a bounded number."""
-        ...
+        """Return waiting statements of the authority, a bounded number."""
 
     def reply(self, reply: PendingReply) -> None:
-        """Answer who waits for it."""
-        ...
+        """Send a reply."""
 
 
 class Admission(Protocol):
-    """The door between inbox and core: it knows secrets that the core and the journal must not."""
+    """Between inbox and core: it knows secrets that core and journal must not hold."""
 
     def number_of(self, lease_id: int) -> int:
-        """The number that the holder's requests carry; 0 if no such lease was given."""
-        ...
+        """The number in the holder's requests; 0 if there is no such lease."""
 
     def admit(self, raw: RawRequest, now_ns: int) -> RawRequest:
-        """The request as the core may know it, with what is proven of its sender."""
-        ...
+        """Return the request for the core, without secrets, with the sender's credentials."""
 
     def reply(self, reply: PendingReply) -> PendingReply:
-        """The reply as its receiver gets it."""
-        ...
+        """Return the reply for its receiver."""
 
 
 class SignedModePort(Protocol):
-    """The authority of a gateway in signed mode, and where it is saved.
-
-    Attributes:
-        authority: as the robot knows it.
-        certificate_ends_s: when the gateway's certificate ends, seconds since 1970; None if it has none.
-    """
+    """The authority in signed mode. ``certificate_ends_s``: seconds since 1970; None without a certificate."""
 
     authority: RobotAuthority
     certificate_ends_s: int | None
 
     def save(self, kept: Kept) -> None:
-        """Keep this across a restart. It never waits."""
-        ...
+        """Save this for a restart, without waiting."""
 
 
 class Guard(Protocol):
-    """The guard, as the loop sees it."""
+    """The guard."""
 
     def look(self) -> GuardView:
-        """Return the guard's state now."""
-        ...
+        """Return the guard's state."""
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
-        """The loop lives. Called each tick, after the frames are sent."""
-        ...
+        """Report that the loop is alive, each tick after the frames are sent."""
 
 
 class Note(Protocol):
-    """The note of a stop by the guard, as the loop sees it: it never fails and never blocks."""
+    """The note of a stop by the guard. Its methods never raise and never block."""
 
     def follow(self, *, is_latched: bool) -> None:
-        """Each tick: whether a stop by the guard is latched."""
-        ...
+        """Take each tick whether a stop by the guard is latched."""
 
 
 class LatchNoteView(Protocol):
-    """The note of what is latched, as the loop sees it: it never fails and never blocks."""
+    """The note of the latches. Its methods never raise and never block."""
 
     def follow(self, latched: Mapping[Reason, str]) -> str:
-        """Each tick: what is latched. Returns, once, why it could not be written down."""
-        ...
+        """Take the latches each tick. Returns once why they could not be written."""
 
 
 class MileageNoteView(Protocol):
-    """The note of the mileage, as the loop sees it: it never fails and never blocks."""
+    """The note of the mileage. Its methods never raise and never block."""
 
     def follow(self, mileage_km: float | None) -> str:
-        """Each tick: the mileage. Returns, once, a question about another one of before."""
-        ...
+        """Take the mileage each tick. Returns once a question if it differs from the noted one."""
 
 
 class FormerGuardView(Protocol):
-    """The guard of the gateway before this one, as the loop sees it.
+    """The guard of the previous gateway.
 
     Attributes:
-        is_stopping: it has begun a stop lately, and has not said how that ended.
-        says: how it ended; empty until then.
+        is_stopping: it has begun a stop recently, and not reported its end.
+        says: how the stop ended; empty until then.
     """
 
     is_stopping: bool
@@ -198,15 +172,14 @@ class FormerGuardView(Protocol):
 
 
 class Manager(Protocol):
-    """The service manager, as the loop sees it: it never fails and never blocks."""
+    """The service manager. Its methods never raise and never block."""
 
     def alive(self, status: str) -> None:
-        """The loop gets round, and this is its state, for people."""
-        ...
+        """Report that the loop runs, with its state for people."""
 
 
 class LoopPorts(msgspec.Struct):
-    """The ports of the loop. Inbox, guard and notes are None for a gateway that only listens."""
+    """The ports of the loop. Inbox, guard and notes are None if the gateway only listens."""
 
     bus: FrameSource
     sink: SampleSink
@@ -224,7 +197,7 @@ class LoopPorts(msgspec.Struct):
 
 @contextmanager
 def _no_collections() -> Iterator[None]:
-    """No garbage collection meanwhile: what start-up made lives on, and a pause would come at any time."""
+    """Disable garbage collection, which would pause the loop at any time."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -255,7 +228,7 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         if end_ns is not None and (core.is_at_rest or now_ns > end_ns):
             break
         if end_ns is None and stopped():
-            # At rest or not, one more tick tells that the gateway ends.
+            # One more tick reports the shutdown, at rest or not.
             end_ns = now_ns + REST_TIMEOUT_NS
             core.shut_down(now_ns)
         while now_ns < due_ns:
@@ -263,10 +236,10 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
             now_ns = monotonic_ns()
         late_ns = now_ns - due_ns
         if late_ns > LOOP_LATE_STOP_NS:
-            # Nothing is decided by what was seen before the pause.
+            # Decisions must not use feedback from before the pause.
             reader.catch_up()
             now_ns = monotonic_ns()
-        # With an arbiter that is an event, and in the log as such.
+        # With an arbiter this is an event, which is logged.
         if core.command is None and late_ns > LATE_NS and now_ns - complained_ns > LATE_TOLD_NS:
             complained_ns = now_ns
             log.warning("the loop was %d ms late; frames that waited keep their own times", late_ns // MS)
@@ -277,12 +250,12 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         ticks += 1
         _tick(ports, core, admission, links, now_ns, late_ns)
         sink.answer(info)
-        # Last in the round, so that only one that was done feeds the watchdog.
+        # Last in the round, so that only a completed one feeds the watchdog.
         if ticks % SELDOM_TICKS == 0 and ports.manager is not None:
             ports.manager.alive(_status(core, links))
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if ports.guard is not None and core.command is not None:
-        # The last word: nothing is told any more, so nothing is left to stop.
+        # The last beat: nothing is commanded now, so the guard has nothing to stop.
         ports.guard.beat(monotonic_ns(), core.command)
     _publish_last(ports, core)
 
@@ -316,19 +289,19 @@ def _follow_notes(ports: LoopPorts, core: Core, now_ns: int) -> None:
 
 
 def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_ns: int, late_ns: int) -> None:
-    """Requests in; frames first, then everything else out."""
+    """Take requests; send the frames first, then everything else."""
     monotonic_ns, inbox = time.monotonic_ns, ports.inbox
     core.update_links(links, now_ns)
     said = [] if ports.signed is None else _follow_authority(ports.signed, core, inbox, now_ns)
     if ports.signed is None and links.outside and not core.bars:
-        # In open mode nobody knows who commands from there.
+        # In open mode it is unknown who commands from there.
         core.bar({Reason.UNAUTHENTICATED: f"connected with {', '.join(links.outside)}"}, now_ns)
     if inbox is not None:
         lease = admission.number_of(core.lease_id)
         for request in inbox.drain(core.lease_holder, lease, core.last_sequence):
             core.receive_request(admission.admit(request, now_ns), now_ns)
     due = core.tick(now_ns, time.time_ns(), late_ns, os.urandom(CHALLENGE_BYTES))
-    # Asked once more, right before: this process may have been stopped since, for longer than the guard needs.
+    # Ask again right before sending: this process may have been paused for longer than the guard waits.
     guard = ports.guard.look() if ports.guard is not None else NO_GUARD
     is_ours = not guard.is_sending and guard.stops == links.guard_stops
     count = ports.bus.send(due.frames) if due.frames and is_ours else 0
@@ -346,14 +319,14 @@ def _tick(ports: LoopPorts, core: Core, admission: Admission, links: Links, now_
 
 
 def warn_of_bars(bars: dict[Reason, str]) -> None:
-    """Say why nobody can engage this robot."""
+    """Log why the robot cannot be engaged."""
     for reason, words in bars.items():
         text = of_a_robot(reason, bars)
         log.warning("the robot cannot be engaged: %s: %s; %s", text.means, words, text.cure)
 
 
 def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | None, now_ns: int) -> list[Sample]:
-    """Take over what the authority states, and act by what follows. Returns what is to be published."""
+    """Take the authority's statements, and act on them. Returns the samples to publish."""
     boot_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
     authority = signed.authority
     if inbox is not None:
@@ -372,10 +345,10 @@ def _follow_authority(signed: SignedModePort, core: Core, inbox: RequestInbox | 
 
 
 class Reader:
-    """Reads the bus, and publishes what its frames say.
+    """Reads the bus, and publishes its samples.
 
     Attributes:
-        read_all_ns: when nothing was left to read last. Long ago, frames come faster than they are read.
+        read_all_ns: when the bus was last read to its end. Long ago: frames arrive faster than they are read.
     """
 
     def __init__(self, ports: LoopPorts, core: Core) -> None:
@@ -385,9 +358,9 @@ class Reader:
         self._core = core
 
     def read_burst(self, timeout_s: float) -> bool:
-        """Wait for a frame, and take those that wait behind it too. Whether nothing is left.
+        """Wait for a frame, and read those behind it. Returns True if nothing is left.
 
-        Published one right after the other, samples share Zenoh's batches and wake its sending thread once.
+        Published right after each other, samples share Zenoh's batches and wake its sending thread once.
         """
         receive, receive_frame, monotonic_ns = self._receive, self._core.receive_frame, time.monotonic_ns
         samples: list[Sample] = []
@@ -408,7 +381,7 @@ class Reader:
         return is_empty
 
     def catch_up(self) -> None:
-        """Read what has waited during a pause, a bounded number."""
+        """Read the frames that waited during a pause, a bounded number."""
         for _ in range(CATCH_UP_BURSTS):
             if self.read_burst(0):
                 return
@@ -449,10 +422,9 @@ def _read_links(ports: LoopPorts, before: Links, *, is_behind: bool, is_full: bo
 
 
 def _with_former(links: Links, former: FormerGuardView, *, hears_commands: bool) -> Links:
-    """The links, and the guard of the gateway before.
+    """Add the guard of the previous gateway to the links.
 
-    While it has not said that it is done, commands on the bus are its own. Where none are heard it is up to us: it
-    may be dead as well.
+    Until it reports its end, commands on the bus are its own. Without any, it may be dead, and the gateway acts.
     """
     return msgspec.structs.replace(
         links,

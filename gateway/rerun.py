@@ -1,10 +1,9 @@
-"""Recorded runs through the core again, with their settings or with others. Pure.
+"""Recorded runs through the core again, with their own settings or with others. Pure.
 
-The same inputs must give the same decisions and the same frames. With other settings both runs get the same
-inputs at the same times. Where the other one commands the chassis differently, a virtual chassis answers in
-place of the recorded one, until both robots stand again with nobody in command: see ``gateway.sim.model``. What
-people would have done otherwise nobody knows: the requests stay as recorded, but for the lease and the
-challenge, which the arbiter gave out itself.
+The same inputs must give the same decisions and the same frames. With other settings both runs get the same inputs
+at the same times. If the other run commands the chassis differently, a virtual chassis replaces the recorded one
+until both robots stand again without a command: see ``gateway.sim.model``. The requests stay as recorded, except
+for lease and challenge, which come from the arbiter.
 """
 
 from __future__ import annotations
@@ -36,30 +35,27 @@ from schemas.settings import Settings
 from schemas.subjects import BY_TYPE
 
 WARM_UP_NS: Final = 3_000_000_000
-"""Before a place of rest the core sees so much of what was seen: nothing that it knows of frames is older."""
+"""Feedback given to the core before a snapshot: its state depends on nothing older."""
 
 JOURNAL: Final = BY_TYPE[Journal].name
 
 CHECKPOINTS_TRIED: Final = 20
-"""So many that do not fit: then the others of a run will not, either. An attempt makes a core, in milliseconds."""
+"""Most attempts to resume a checkpoint of a run. Each makes a core, in milliseconds."""
 
 INPUTS_MAX: Final = 100_000
-"""Inputs between two journals of a core: a bus and all that asks give it some hundred. It holds all of them."""
+"""Most inputs between two journals of a core, which it holds in memory; normally some hundred."""
 
-MADE_UP: Final = "what no core was given"
-"""Somebody made it up: values may be of any kind, and a checkpoint may have any class of the core anywhere."""
+MADE_UP: Final = "not the inputs of a core"
+"""For forged inputs: values may be of any kind, and a checkpoint may have any class of the core anywhere."""
 
 
 class Run(msgspec.Struct, frozen=True):
     """A recorded run, or the part of it that can be run again.
 
     Attributes:
-        run: its number.
-        begins_ns: when its first input came, monotonic; of a part, the first of those that warm it up.
-        inputs: all of them, in their order.
-        warm_up: of a part that begins at a place of rest, what came right before it; the last of them is the
-            place.
-        state: of a part that begins at a checkpoint, the core's.
+        begins_ns: time of its first input, of the warm-up if there is one, monotonic.
+        warm_up: for a part that begins at a snapshot, the inputs right before it; the last one is the snapshot.
+        state: of the core, for a part that begins at a checkpoint.
     """
 
     run: int
@@ -69,7 +65,7 @@ class Run(msgspec.Struct, frozen=True):
     state: bytes = b""
 
     def core(self, settings: Settings) -> Core:
-        """A core as it was when the run, or the part, began."""
+        """Return a core in the state at the beginning of the run or part."""
         core = Core(CHASSIS, settings, "", self.begins_ns, self.run)
         if self.state:
             core.resume(self.state)
@@ -77,7 +73,7 @@ class Run(msgspec.Struct, frozen=True):
             *before, (_, now_ns, kept, controller, *told) = self.warm_up
             core.look_from(_as_links(told), ControllerState(controller))
             for one in before:
-                # Nobody asked anything then.
+                # There were no requests then.
                 if one[0] in {Kind.FRAME, Kind.TICK, Kind.SENT}:
                     give(core, one)
             if core.command is not None:
@@ -86,14 +82,13 @@ class Run(msgspec.Struct, frozen=True):
 
 
 def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
-    """All that the core says when a run is given to it again; at last the batches that are not full.
+    """All samples of the core when a run is given to it again; at the end the incomplete batches.
 
-    The journals are of one run, in their order and without a gap, and may come bit by bit. Where they do not begin
-    with the run's first input, it is run again from the first checkpoint or place of rest. A run made under other
-    rules is run from its first input alone, for those rules remembered other things.
+    The journals are of one run, in order and without a gap, and may be read lazily. If the run's first input is
+    missing, the rerun begins at the first checkpoint or snapshot; under other rules it needs the first input,
+    because their state differs.
 
-    Raises:
-        BrokenJournalError: an input cannot be given to a core, or some are missing.
+    Raises BrokenJournalError: the core cannot take an input, or some are missing.
     """
     run = run_of(journals)
     if run is not None:
@@ -103,14 +98,14 @@ def rerun(settings: Settings, journals: Iterable[Journal]) -> Iterator[Sample]:
                 yield from samples
         except (ArithmeticError, AttributeError) as error:
             raise BrokenJournalError(f"{MADE_UP}: {error}") from error
-        # Where one ends depends on when the core was made.
+        # The end of a batch depends on when the core was made.
         yield from core.last_batches(0)
 
 
 def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
-    """The run that journals hold, from its first input, checkpoint or place of rest on; None if there is none.
+    """The run in the journals, from its first input, checkpoint or snapshot on; None if there is none.
 
-    At rest: no checkpoint will do, for the settings may be others than those of the run.
+    ``at_rest``: use no checkpoint, because the settings may differ from those of the run.
     """
     rest = iter(journals)
     first = next(rest, None)
@@ -143,7 +138,6 @@ def run_of(journals: Iterable[Journal], *, at_rest: bool = False) -> Run | None:
 
 
 def _fits(state: bytes) -> bool:
-    """This version's core can be resumed from the state."""
     try:
         Core(CHASSIS, Settings(), "", 0).resume(state)
     except CheckpointError:
@@ -152,10 +146,9 @@ def _fits(state: bytes) -> bool:
 
 
 def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame], list[Sample]]]:
-    """For each input what the core returns: the frames to send, and the samples to publish.
+    """For each input the frames to send and the samples to publish.
 
-    Raises:
-        BrokenJournalError: an input cannot be given to a core, or the core would hold ever more of them.
+    Raises BrokenJournalError: the core cannot take an input, or would hold too many.
     """
     held = 0
     for one in inputs:
@@ -168,15 +161,11 @@ def run_again(core: Core, inputs: Iterable[Input]) -> Iterator[tuple[list[Frame]
         elif returned:
             yield [], returned
         if held > INPUTS_MAX:
-            raise BrokenJournalError(f"more than {INPUTS_MAX} inputs come in no time")
+            raise BrokenJournalError(f"more than {INPUTS_MAX} inputs without a journal")
 
 
 def give(core: Core, one: Input) -> TickEffects | list[Sample]:
-    """Gives the core one input of a journal. Returns what the core does.
-
-    Raises:
-        BrokenJournalError: it is of no known kind.
-    """
+    """Give the core one input of a journal. Raises BrokenJournalError: its kind is unknown."""
     kind, *arguments = one
     act = _GIVE.get(kind)
     if act is None:
@@ -190,7 +179,7 @@ def _frame(core: Core, now_ns: int, frame: list[Any]) -> list[Sample]:
 
 
 _SAID: Final = 6
-"""So many values of a request are the sender's; what follows is what they prove."""
+"""Values of a request from its sender; the proof follows."""
 
 
 def _as_request(values: Sequence[Any]) -> RawRequest:
@@ -203,7 +192,7 @@ def _as_request(values: Sequence[Any]) -> RawRequest:
 
 
 _NOT_YET_TOLD: Final = {"realtime": True}
-"""The links' values that older journals lack."""
+"""Values of links that older journals lack."""
 
 
 def _as_links(told: Sequence[Any]) -> Links:
@@ -211,7 +200,7 @@ def _as_links(told: Sequence[Any]) -> Links:
 
 
 def _tick(core: Core, now_ns: int, wall_ns: int, late_ns: int, challenge: bytes = b"") -> TickEffects:
-    # Under rules 1 there was none; whatever nobody echoes will do.
+    # Rules 1 had no challenge; any value that is never echoed will do.
     return core.tick(now_ns, wall_ns, late_ns, challenge or now_ns.to_bytes(CHALLENGE_BYTES))
 
 
@@ -234,31 +223,26 @@ _GIVE: Final[dict[int, Callable[..., TickEffects | list[Sample] | None]]] = {
 
 
 _REST_NS: Final = 100_000_000
-"""Both stand by and stand still for so long before the recorded chassis is believed again."""
+"""Time in standby and at standstill before the recorded chassis is used again."""
 
 SAFETY_STATE: Final = "safety/state"
 
 _CHALLENGES_KEPT: Final = 500
-"""Ten seconds of them. A command that echoes an older one is refused for its age in any case."""
+"""Ten seconds of challenges. A command that echoes an older one is too old anyway."""
 
 _COUNTED_BYTES: Final = 6
 """Bytes of a command frame before alive counter and checksum (manual V2.0, section 5)."""
 
 
 class GivenOutput(msgspec.Struct, frozen=True, gc=False):
-    """A sample of one of the two runs.
-
-    Attributes:
-        sample: the subject's name and the MessagePack payload.
-        is_other: it is the run with other settings.
-    """
+    """A sample of one of the two runs. ``is_other``: of the run with other settings."""
 
     sample: Sample
     is_other: bool
 
 
 def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) -> Iterator[GivenOutput]:
-    """All that the core says, and would have said with the other settings; see ``rerun``."""
+    """The samples of the core with its own and with the other settings; see ``rerun``."""
     run = run_of(journals, at_rest=True)
     if run is not None:
         pair = _Pair(run.core(settings), run.core(other))
@@ -267,7 +251,7 @@ def what_if(settings: Settings, other: Settings, journals: Iterable[Journal]) ->
 
 
 class _Pair:
-    """The run as it was, and beside it the one with other settings, both in a state of the same moment."""
+    """The run as recorded and the run with other settings, side by side."""
 
     def __init__(self, core: Core, other: Core) -> None:
         self.core = core
@@ -279,7 +263,7 @@ class _Pair:
         self._resting_since_ns: int | None = None
 
     def give(self, one: Input) -> Iterator[GivenOutput]:
-        """Give one input to both. Yields what each says."""
+        """Give one input to both. Yields the samples of each."""
         kind, now_ns = one[0], one[1]
         returned = give(self.core, one)
         if kind == Kind.FRAME:
@@ -310,7 +294,7 @@ class _Pair:
         return one if shown is frame else (one[0], one[1], msgspec.structs.astuple(shown))
 
     def _sent(self, one: Input) -> Input:
-        """The bus takes of the other frames what it took of the recorded ones: all, or as many."""
+        """The bus accepts as many of the other frames as of the recorded ones."""
         kind, now_ns, count, wall_ns = one
         offered = self._offered_other
         taken = len(offered) if count >= len(self._offered) else min(count, len(offered))
@@ -336,11 +320,7 @@ class _Pair:
 
 
 class _Echo:
-    """Requests as their senders would have sent them in answer to the other arbiter.
-
-    A drive echoes the newest challenge that was published, and everything names the lease that was given. The two
-    arbiters publish in other ticks, and may have given another lease.
-    """
+    """Translates requests for the other arbiter, which has other challenges and perhaps another lease."""
 
     def __init__(self, core: Core, other: Core) -> None:
         self._core = core
@@ -349,7 +329,7 @@ class _Echo:
         self._published: deque[_State] = deque(maxlen=_CHALLENGES_KEPT)
 
     def published(self, sample: Sample, *, is_other: bool) -> None:
-        """A safety/state went out."""
+        """Take a published safety/state."""
         state = _STATE.decode(sample.payload)
         if is_other:
             self._published.append(state)
@@ -359,7 +339,7 @@ class _Echo:
             self._recorded.popitem(last=False)
 
     def asked(self, one: Input) -> Input:
-        """The request, with the numbers that the other arbiter gave out."""
+        """Return the request with challenge and lease of the other arbiter."""
         kind, now_ns, handle, verb, operator, payload, size, *fault = one
         try:
             request = msgspec.msgpack.decode(payload)

@@ -157,7 +157,7 @@ class EventKind(Enum):
 
 
 GUARD_STOP_ENDED: Final = "the guard's stop has ended: "
-"""So the text of an event of kind ``guard`` begins that says how the guard's stop ended."""
+"""Prefix of the text of a ``guard`` event that reports the end of the guard's stop."""
 
 
 class SafetyState(Message, frozen=True):
@@ -168,9 +168,9 @@ class SafetyState(Message, frozen=True):
         engaged: drive commands are executed.
         stop_reason: why the stop that is under way, or the last one, was begun.
         stop_phase: the phase of the stop.
-        lease_holder: the operator who holds the lease; empty if nobody does.
-        lease_role: the role in which it is held; program if nobody does.
-        lease_expires_s: the lease expires after this time; 0 if nobody holds it.
+        lease_holder: the operator who holds the lease; empty if it is free.
+        lease_role: the role of the holder; program if the lease is free.
+        lease_expires_s: the lease expires after this time; 0 if it is free.
         latched: causes that must be reset before the robot can be engaged.
         blocked_by: why the robot stands still, or cannot be engaged, now.
         guarded: a second process watches this one, and stops the robot in its place.

@@ -1,5 +1,5 @@
-"""A chassis on CAN, in general; what is the Cruiser's alone is in ``cruiser``. Pure.
+"""A chassis on CAN, in general; ``cruiser`` has the Cruiser's part. Pure.
 
-``frame`` is what the bus carries, ``supervision`` sees whether it does in time, ``layout`` decodes and encodes; by
-``port`` all others see the chassis. Which one it is, ``gateway.choice`` says.
+``frame`` is what the bus carries, ``supervision`` checks its timing, ``layout`` decodes and encodes. All other
+modules see the chassis through ``port``; ``gateway.choice`` names the chassis in use.
 """

@@ -1,4 +1,4 @@
-"""Frames with the flags of their words, and their faults, which are values: wire input never raises."""
+"""Frames with their flags, and their faults, which are values: wire input never raises."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class FaultKind(Enum):
     UNDEFINED_VALUE = "undefined_value"
     """A value that the value table does not name. The message is published and says ``undefined``."""
     IMPLAUSIBLE = "implausible"
-    """A value that this chassis cannot have, by its table of plausible ones. The frame is not published."""
+    """A value outside this chassis's table of plausible ones. The frame is not published."""
     VARIANT_CONTRADICTED = "variant_contradicted"
     """A standstill wheel speed frame of the other firmware variant."""
     ALIVE_REPEATED = "alive_repeated"
@@ -57,11 +57,7 @@ class FaultKind(Enum):
 
 
 class FrameFault(msgspec.Struct, frozen=True):
-    """A frame's fault, for which it is not a valid message.
-
-    Attributes:
-        name: the frame's name in the DBC; empty if it has none.
-    """
+    """Why a frame is no valid message. ``name``: of the frame in the DBC; empty if it has none."""
 
     kind: FaultKind
     can_id: int
@@ -70,21 +66,21 @@ class FrameFault(msgspec.Struct, frozen=True):
 
 
 class GateFault(msgspec.Struct, frozen=True):
-    """The fault for which the gate refused a burst."""
+    """Why the gate refused a burst."""
 
     can_id: int
     detail: str
 
 
 class Frame(msgspec.Struct, frozen=True, gc=False, array_like=True):
-    """A CAN frame. Flags are those of linux/can.h, so that one word holds identifier and kind.
+    """A CAN frame. Flags as in linux/can.h, so that one word holds identifier and kind.
 
     In the journal it is an array, in this order.
 
     Attributes:
         can_id: identifier with the flags EXTENDED, REMOTE and ERROR.
         data: 0 to 8 bytes, up to 64 for CAN FD; empty for a remote frame.
-        wall_ns: when the bus delivered it, nanoseconds since the epoch; 0 if that is not known.
+        wall_ns: when the bus delivered it, nanoseconds since 1970; 0 if unknown.
         fd_flags: 0 for classic CAN; FD, with BITRATE_SWITCH and ERROR_STATE_INDICATOR, for CAN FD.
         remote_length: the data length that a remote frame asks for; 0 for every other.
     """
@@ -102,10 +98,10 @@ class Frame(msgspec.Struct, frozen=True, gc=False, array_like=True):
 
     @property
     def length(self) -> int:
-        """Data length in bytes; for a remote frame the length asked for."""
+        """Data length in bytes; the requested length for a remote frame."""
         return self.remote_length or len(self.data)
 
 
 def hex_identifier(can_id: int) -> str:
-    """The identifier as people write it: 8 digits if extended, else 3."""
+    """The identifier in hexadecimal: 8 digits if extended, else 3."""
     return f"{can_id & IDENTIFIER_MASK:08X}" if can_id & EXTENDED else f"{can_id & STANDARD_MASK:03X}"

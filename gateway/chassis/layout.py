@@ -1,8 +1,8 @@
 """The layout of every frame, and decoding and encoding by it.
 
-For each frame of the layout one small function is generated and compiled, as ``dataclasses`` does it: the eight
-bytes become one integer, each signal is a shift and a mask of it, or of its byte. A test holds every one against
-cantools. The rules for values become comparisons of raw integers in the same function.
+For each frame of the layout one small function is generated and compiled, as in ``dataclasses``: the eight bytes
+become one integer, and each signal is a shift and a mask of it, or of its byte. A test compares every function
+with cantools. The rules for values become comparisons of raw integers in the same function.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from schemas.subjects import BY_DBC_MESSAGE, Subject
 
 
 class Within(msgspec.Struct, frozen=True):
-    """The physical value, in the signal's unit, lies between these, both included."""
+    """The physical value, in the signal's unit, is within these bounds, both included."""
 
     minimum: float
     maximum: float
@@ -35,7 +35,7 @@ class Named(msgspec.Struct, frozen=True):
 
 
 class Requires(msgspec.Struct, frozen=True):
-    """This choice counts only where a flag of the same frame is set; any other choice needs none."""
+    """This choice requires a flag of the same frame; any other choice requires none."""
 
     choice: str
     flag: str
@@ -56,7 +56,7 @@ class SignalLayout(msgspec.Struct, frozen=True):
     Attributes:
         start_bit: from bit 0 of byte 0, least significant bit first (DBC ``@1``).
         choices: the value table, raw value to name; empty if it has none.
-        start_raw: the raw value to send when nothing else is asked for.
+        start_raw: the raw value to send by default.
     """
 
     name: str
@@ -72,7 +72,7 @@ class SignalLayout(msgspec.Struct, frozen=True):
     start_raw: int
 
     def value(self, data: bytes) -> float:
-        """Return the scaled value in a frame's bytes; of a choice its raw value."""
+        """Return the scaled value in a frame's bytes; the raw value of a choice."""
         raw = int.from_bytes(data, "little") >> self.start_bit & (1 << self.length) - 1
         if self.is_signed and raw >> self.length - 1:
             raw -= 1 << self.length
@@ -117,7 +117,7 @@ class MessageLayout(msgspec.Struct, frozen=True):
 
     @property
     def payload_signals(self) -> tuple[SignalLayout, ...]:
-        """The signals but for the alive counter and the checksum, which every frame ends with."""
+        """The signals without the alive counter and the checksum at the end of every frame."""
         return tuple(signal for signal in self.signals if signal.name not in {ALIVE_COUNTER, CHECKSUM})
 
 
@@ -129,23 +129,21 @@ class ChassisLayout(msgspec.Struct, frozen=True):
 
     @property
     def feedback(self) -> tuple[MessageLayout, ...]:
-        """The frames that the chassis sends."""
         return tuple(message for message in self.messages.values() if message.is_feedback)
 
     @property
     def identifiers(self) -> frozenset[int]:
-        """Of all frames, with their flags; both variants have the same."""
+        """All identifiers with their flags; both variants have the same ones."""
         return frozenset(message.can_id for message in self.messages.values())
 
     @property
     def commands(self) -> tuple[MessageLayout, ...]:
-        """The frames that the chassis accepts."""
         return tuple(message for message in self.messages.values() if not message.is_feedback)
 
 
 Value = bool | int | float | str
 Signals = dict[str, Value]
-"""Values by signal name: a flag is a bool, a choice its name, or its raw value if the table has no name for it."""
+"""Values by signal name: a flag is a bool, a choice its name, or its raw value if it has none."""
 
 
 class Decoded(msgspec.Struct, frozen=True):
@@ -156,7 +154,7 @@ class Decoded(msgspec.Struct, frozen=True):
 
 
 def check(frame: Frame) -> FaultKind | None:
-    """Return the fault of a frame whose identifier the layout has, or None."""
+    """Return the fault of a frame with an identifier of the layout, or None."""
     data = frame.data
     if frame.fd_flags:
         return FaultKind.FD_FRAME
@@ -176,7 +174,7 @@ class FrameDecoder:
         }
 
     def decode(self, frame: Frame) -> Decoded | FrameFault:
-        """The frame's signals, or its fault. Never raises, whatever the frame holds."""
+        """The frame's signals, or its fault. Never raises."""
         row = self._by_can_id.get(frame.can_id)
         if row is None:
             return unknown_frame(frame, self._by_can_id)
@@ -188,7 +186,7 @@ class FrameDecoder:
 
 
 def unknown_frame(frame: Frame, known: Container[int]) -> FrameFault:
-    """The fault of a frame whose ``can_id``, flags included, is not among the known ones."""
+    """The fault of a frame whose ``can_id`` with its flags is not a known one."""
     if frame.can_id & ERROR:
         return FrameFault(FaultKind.ERROR_FRAME, frame.can_id)
     if frame.can_id & REMOTE and frame.can_id & ~REMOTE in known:
@@ -212,7 +210,7 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
     Attributes:
         build: makes the message.
-        undefined: whether a choice in these plausible data has no name in its value table; None if all have one.
+        undefined: tells whether a choice in plausible data has no name in its value table; None if all have one.
     """
 
     layout: MessageLayout
@@ -222,9 +220,9 @@ class MessageDecoder(msgspec.Struct, frozen=True):
 
 
 def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) -> MessageDecoder:
-    """Return the decoder of a feedback frame; it makes a message only of values that keep all rules.
+    """Return the decoder of a feedback frame; it makes a message only if all rules hold.
 
-    Raises KeyError, ValueError: no subject is made from this frame, or of other fields than it has signals.
+    Raises KeyError, ValueError: no subject belongs to this frame, or its fields differ from the signals.
     """
     subject = BY_DBC_MESSAGE[layout.name]
     by_field = {signal.field: signal for signal in layout.signals}
@@ -252,12 +250,12 @@ def compile_message(layout: MessageLayout, rules: Sequence[tuple[str, Rule]]) ->
 
 @cache
 def _annotations(kind: type[msgspec.Struct]) -> dict[str, Any]:
-    """The fields of a class with their types, looked up once for all cores that run a log again."""
+    """The fields of a class with their types, cached for reruns, which make many cores."""
     return {field.name: field.type for field in msgspec.structs.fields(kind)}
 
 
 ROUNDING_STEPS: Final = 1e-6
-"""Of a signal's own steps: far below one, far above what floating point adds."""
+"""Tolerance in steps of a signal: far below one step, far above errors of floating point."""
 
 ALIVE_COUNTER_FIELD: Final = SignalLayout(ALIVE_COUNTER, 0, 4, False, 1, 0, 0, 15, "", {}, 0).field  # noqa: FBT003
 
@@ -267,19 +265,19 @@ def _compile(expression: str, arguments: str, scope: dict[str, Any]) -> Callable
     if re.search(r"\bw\b", expression):
         scope["from_bytes"] = int.from_bytes
         expression = f"(w := from_bytes(data, 'little'), {expression})[1]"
-    # The source is made of our own layout's numbers and identifiers alone; nothing from the wire reaches it.
+    # The source consists only of numbers and identifiers of our own layout, never of wire input.
     function: Callable[..., Any] = eval(_code(f"lambda {arguments}: {expression}"), scope)  # noqa: S307
     return function
 
 
 @cache
 def _code(source: str) -> CodeType:
-    """The compiled source: whoever runs a log again makes core after core of one layout."""
+    """Compile the source; cached for reruns, which make many cores of one layout."""
     return compile(source, "<layout>", "eval")
 
 
 def _raw(signal: SignalLayout) -> str:
-    """The raw value: of one byte where the signal lies in one, for that is fastest, else of the whole integer."""
+    """The raw value: from one byte if the signal lies in one, which is fastest, else from the whole integer."""
     byte, bit = divmod(signal.start_bit, 8)
     mask = (1 << signal.length) - 1
     source, shift = (f"data[{byte}]", bit) if bit + signal.length <= 8 else ("w", signal.start_bit)
@@ -291,11 +289,11 @@ def _raw(signal: SignalLayout) -> str:
 
 
 def _condition(layout: MessageLayout, signal_name: str, rule: Rule) -> str:
-    """The rule as a comparison of raw values, which costs less than one of physical values."""
+    """The rule as a comparison of raw values, which is cheaper than one of physical values."""
     signal = layout.signal(signal_name)
     match rule:
         case Within(minimum, maximum):
-            # A bound that is a raw value's own may come out beside it by a rounding error.
+            # A bound on a raw value may come out beside it by a rounding error.
             lowest = math.ceil((minimum - signal.offset) / signal.scale - ROUNDING_STEPS)
             highest = math.floor((maximum - signal.offset) / signal.scale + ROUNDING_STEPS)
             return f"{lowest} <= {_raw(signal)} <= {highest}"
@@ -338,7 +336,7 @@ class Encoder:
             message.name: (message, {signal.name: signal for signal in message.payload_signals})
             for message in layout.messages.values()
         }
-        # Of each message the last values and their bits: from one tick to the next most stay the same.
+        # The last values of each message with their bits: most stay the same from tick to tick.
         self._last: dict[str, tuple[dict[str, Value], int]] = {}
         first = next(iter(layout.messages.values()))
         # Every frame ends with these two, at the same bits (manual V2.0, section 5).

@@ -3,10 +3,10 @@
 The pose is that of the middle of the rear axle. Axes are those of ISO 8855 and REP 103: x forward and y left as
 the robot stood at the start or at the last reset, heading from x to y. The speed is signed, forward positive.
 
-The variances grow with the way and with what is turned. A gap in the feedback moves nothing, but the way that may
-have been driven in it is added to them. The wheel pulses are the check: where they count another way than the
-drive feedback, the difference is added too. That is no flag of its own, for who fuses or plans reads variances
-already. How many pulses a metre has is in no manual; it is learned from the first metres.
+The variances grow with the way and with the turns. A gap in the feedback does not move the pose, but the way that
+may have been driven in it is added to the variances. The wheel pulses are a check: if they count another way than
+the drive feedback, the difference is added too. There is no separate flag, because fusion and planning read
+variances. The number of pulses in a metre is in no manual; it is learned from the first metres.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from schemas.messages import SEQUENCE_MAX
 from schemas.settings import STANDSTILL_MPS
 
 GAP_NS: Final = 500_000_000
-"""Beyond that nothing is integrated: ten periods of ``state``."""
+"""Longest gap that is integrated: ten periods of ``state``."""
 
 WAY_ERROR: Final = 0.02
 """Standard deviation of a way of 1 m, in metres: tyres, load and rounding. It grows with the root of the way."""
 
 TURN_ERROR: Final = 0.05
-"""The same of a turn of 1 rad, in radians: tyres slip in a bend."""
+"""Standard deviation of a turn of 1 rad, in radians: tyres slip in a bend."""
 
 STEERING_ERROR_RAD: Final = radians(1.0)
-"""Accuracy of the steering feedback; it changes from metre to metre."""
+"""Accuracy of the steering feedback, independent from metre to metre."""
 
 ACCELERATION_MPS2: Final = 2.0
-"""Between two samples the speed may have changed by this and back again."""
+"""Unseen change of the speed between two samples."""
 
 UNSEEN_MPS: Final = 0.1
-"""A robot that stands before and behind a gap may have moved so fast in it, on average."""
+"""Possible mean speed in a gap of a robot that stands before and after it."""
 
 PULSE_WAY_M: Final = 0.5
-"""Way by drive feedback or by pulses after which the two are compared."""
+"""Way by drive feedback or pulses after which the two are compared."""
 
 LEARNED_M: Final = 2.0
-"""Way from which the pulses in a metre are known."""
+"""Way after which the pulses in a metre are known."""
 
 SLIP: Final = 0.2
 """Share of the way that wheels may slip unnoticed..."""
@@ -49,10 +49,10 @@ SLIP_M: Final = 0.1
 """...and the way of one period of the pulses at full speed, for they come later."""
 
 _HEADING_VARIANCE_MAX_RAD2: Final = pi**2 / 3
-"""Nothing is known of the heading."""
+"""Variance of an unknown heading."""
 
 _SPEED_ERROR_MPS, _TURN_RATE_ERROR_RADPS = 0.02, 0.01
-"""Of a standing robot: rounding of the feedback."""
+"""Errors at standstill: rounding of the feedback."""
 
 
 _DIRECTIONS: Final = {messages.GearPosition.DRIVE: 1, messages.GearPosition.REVERSE: -1}
@@ -61,9 +61,9 @@ _DIRECTIONS: Final = {messages.GearPosition.DRIVE: 1, messages.GearPosition.REVE
 def signed_speed_mps(
     drive: messages.Drive | None, wheels: messages.WheelSpeed | None, gear: messages.Gear | None
 ) -> float | None:
-    """The drive feedback, a magnitude, with the direction of the wheels if they turn, else of the gear.
+    """The speed of the drive feedback with the direction of the wheels if they turn, else of the gear.
 
-    None if the robot moves and neither gives the direction: half of the guesses would be wrong.
+    None if the robot moves and neither shows the direction.
     """
     if drive is None:
         return None
@@ -88,7 +88,7 @@ class DeadReckoning:
     Attributes:
         heading_rad: from -pi to pi, left positive.
         distance_m: the way, forward and in reverse.
-        last_ns: of the newest sample whose speed and angle are known; None before the first.
+        last_ns: time of the newest sample with speed and angle; None before the first.
     """
 
     def __init__(self, wheelbase_m: float) -> None:
@@ -102,13 +102,13 @@ class DeadReckoning:
         self.reset()
 
     def reset(self) -> None:
-        """Begin at zero here, and keep what was learned of the pulses."""
+        """Set the pose to zero, and keep the learned number of pulses."""
         self.x_m = self.y_m = self.heading_rad = self.distance_m = 0.0
         self._xx = self._yy = self._xy = self._xh = self._yh = self._hh = 0.0
         self._way_m = self._counted = 0.0
 
     def move(self, time_ns: int, speed_mps: float | None, angle_deg: float | None) -> None:
-        """Go on to a sample of signed speed and angle, None if not known; one that is not later begins anew."""
+        """Advance to a sample of signed speed and angle, None if unknown. One that is not later starts again."""
         if speed_mps is None or angle_deg is None or not isfinite(speed_mps) or not isfinite(angle_deg):
             return
         before_ns, before_mps, before_deg = self.last_ns, self._speed_mps, self._angle_deg
@@ -121,13 +121,13 @@ class DeadReckoning:
             if before_mps or speed_mps:
                 self._go(mean_mps * span_s, (before_deg + angle_deg) / 2, ACCELERATION_MPS2 * span_s**2 / 4)
             return
-        # Where the clock was set back, the time between is not known.
+        # If the clock was set back, the time between is unknown.
         fastest_mps = max(abs(before_mps), abs(speed_mps), UNSEEN_MPS)
         self._doubt(fastest_mps * max(span_ns, GAP_NS) / 1e9)
         self._pulses = None
 
     def count(self, time_ns: int, left: int, right: int) -> None:
-        """Check the way by the counts of the rear wheels' encoders, signed 16-bit numbers that wrap."""
+        """Check the way by the rear wheels' encoder counts, signed 16-bit numbers that wrap."""
         before, self._pulses = self._pulses, (time_ns, left, right)
         if before is None or not 0 < time_ns - before[0] <= GAP_NS:
             self._way_m = self._counted = 0.0
@@ -146,7 +146,7 @@ class DeadReckoning:
             self._doubt(abs(counted_m - way_m))
 
     def report(self) -> messages.Odometry | None:
-        """The odometry of the newest sample; None if that was reported already."""
+        """The odometry of the newest sample; None if already reported."""
         if self.last_ns is None or self.last_ns == self._reported_ns:
             return None
         self._reported_ns = self.last_ns
@@ -175,7 +175,7 @@ class DeadReckoning:
         )
 
     def _go(self, way_m: float, angle_deg: float, unsure_m: float) -> None:
-        """Move by a way on an arc, half of the turn before it and half behind it."""
+        """Move on an arc, with half of the turn before the way and half after it."""
         bend = tan(radians(angle_deg))
         turn_rad = way_m * bend / self._wheelbase_m
         mean_rad = self.heading_rad + turn_rad / 2
@@ -185,7 +185,7 @@ class DeadReckoning:
         self.heading_rad = remainder(self.heading_rad + turn_rad, tau)
         self.distance_m += abs(way_m)
         self._way_m += way_m
-        # The pose's covariance moves on with it: an error of the heading is one of the place after the way.
+        # Propagate the covariance: an error of the heading becomes one of the place.
         x_by_heading, y_by_heading = -way_m * aside, way_m * ahead
         self._xx += x_by_heading * (2 * self._xh + x_by_heading * self._hh)
         self._yy += y_by_heading * (2 * self._yh + y_by_heading * self._hh)
@@ -201,7 +201,7 @@ class DeadReckoning:
         self._hh = min(self._hh + turn_error_rad2, _HEADING_VARIANCE_MAX_RAD2)
 
     def _doubt(self, way_m: float) -> None:
-        """Add to the variances a way of which only its greatest length is known."""
+        """Add to the variances an unknown way of at most this length."""
         self._xx += way_m**2
         self._yy += way_m**2
         self._hh = min(self._hh + (way_m / self._wheelbase_m) ** 2, _HEADING_VARIANCE_MAX_RAD2)

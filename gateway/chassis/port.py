@@ -1,4 +1,4 @@
-"""The seam between a chassis and all else: what the arbiter sees and decides, and ``Chassis`` as one value."""
+"""The interface of a chassis: what the arbiter sees and decides, and ``Chassis`` as one value."""
 
 from __future__ import annotations
 
@@ -43,27 +43,27 @@ AT_REST: Final = Actuation()
 
 
 class ChassisState(msgspec.Struct, frozen=True):
-    """The chassis, the bus and the guard now. A field that is not known is None or UNDEFINED.
+    """The chassis, the bus and the guard now. An unknown field is None or UNDEFINED.
 
     Attributes:
-        missing: required feedback frames that were never seen, are silent, or say that they are not valid.
-        faulty: required feedback frames whose checksums or alive counters have failed.
-        absurd: required feedback frames whose values this chassis cannot have, again and again.
-        variant: the firmware variant in force; UNKNOWN while there is any doubt.
+        missing: required feedback frames that never came, are silent, or are marked as not valid.
+        faulty: required feedback frames with failed checksums or alive counters.
+        absurd: required feedback frames with repeated implausible values.
+        variant: the firmware variant in force; UNKNOWN if in doubt.
         confirmed: evidence from the bus agrees with the variant.
         speed_mps: the drive feedback, a magnitude.
         wheel_speed_mps: mean of the rear wheels, signed.
         fastest_wheel_mps: the faster of the two, a magnitude.
-        turns: the raw drive feedback is not zero, or there is none and the raw wheel speeds are not those of
-            standstill: the robot moves, in whatever scale.
-        pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 while they stand still
-            or are not known. The manual gives no resolution, so they give a direction and no speed.
-        creeps: the direction in which they have counted for a while, but not in each frame; 0 if they have not.
+        turns: the robot moves, in any scale: the raw drive feedback is not zero, or there is none and the raw
+            wheel speeds are not those of standstill.
+        pulses: the direction in which the wheel encoders count, 1 forward, -1 backward; 0 at standstill or if
+            unknown. Without a known resolution they give no speed.
+        creeps: the direction in which they have counted for a while, but not in each frame; 0 if not.
         commander_ns: when another computer's command frame was last received; None if never.
         guard_sends: the guard is stopping the robot in our place.
         guard_stops: number of stops that it has begun since the start.
-        guard_says: why it last did, and how that ended; empty if it never did.
-        is_behind: frames come faster than they can be read, so what is seen is old.
+        guard_says: cause and end of its last stop; empty if none.
+        is_behind: frames arrive faster than they can be read, so this state is old.
     """
 
     bus_up: bool = False
@@ -97,7 +97,7 @@ class ChassisState(msgspec.Struct, frozen=True):
 
     @property
     def reads_zero(self) -> bool:
-        """Both speeds are known and are those of a standing robot."""
+        """Both speeds are known and below the standstill bound."""
         return (
             self.speed_mps is not None
             and self.fastest_wheel_mps is not None
@@ -107,25 +107,25 @@ class ChassisState(msgspec.Struct, frozen=True):
 
     @property
     def is_slow(self) -> bool:
-        """Both speeds are those of a standing robot, and no encoder counts."""
+        """Both speeds are below the standstill bound, and no encoder counts."""
         return self.reads_zero and not self.pulses
 
     @property
     def moves(self) -> bool:
-        """Drive feedback, wheels or encoders show a robot that moves, whichever does."""
-        # Where the scale is in doubt the raw drive feedback counts; else a fine one would never be at rest.
+        """Drive feedback, wheels or encoders show motion."""
+        # The raw drive feedback counts only in doubt of the scale; else a fine one would never be at rest.
         is_scaled = self.confirmed and self.speed_mps is not None
         turns = bool(self.turns) and not is_scaled
         return turns or bool(self.pulses or self.creeps) or (self.fastest_mps or 0.0) > STANDSTILL_MPS
 
     @property
     def slowest_mps(self) -> float:
-        """The lowest speed that a sensor shows, a magnitude: no single faulty one sets the robot going."""
+        """The lowest measured speed, a magnitude, so that no single faulty sensor sets the robot in motion."""
         return min(self._known_mps, default=0.0)
 
     @property
     def fastest_mps(self) -> float | None:
-        """The highest speed that a sensor shows, a magnitude; None if none shows any."""
+        """The highest measured speed, a magnitude; None if unknown."""
         return max(self._known_mps, default=None)
 
     @property
@@ -141,7 +141,7 @@ class AuxiliaryFrame(msgspec.Struct, frozen=True):
 
 
 class FeedbackRow(Protocol):
-    """The newest of one feedback frame, as a tracker reads it."""
+    """The newest state of one feedback frame."""
 
     layout: MessageLayout
     latest: Feedback | None
@@ -150,18 +150,18 @@ class FeedbackRow(Protocol):
 
 
 class Tracker(Protocol):
-    """Makes the chassis's state of its feedback."""
+    """Makes the chassis's state from its feedback."""
 
     def follow(self, message: Feedback | None, odometry: DeadReckoning) -> None:
-        """A feedback message came: the odometry goes on with what it, and those beside it, say."""
+        """Advance the odometry after a feedback message."""
 
     def note_hits(self) -> None:
-        """A frame came in which a bumper may read hit: that counts at the next tick, whatever comes after it."""
+        """Note bumper hits in the newest frame: they count at the next tick, even if a later frame reads clear."""
 
     def state(
         self, controller: ControllerState, variant: Variant, commander_ns: int | None, now_ns: int
     ) -> ChassisState:
-        """The chassis now, but for what the loop knows of the bus and the guard."""
+        """Return the chassis's state, without the fields of bus and guard."""
 
 
 class BurstMaker(Protocol):
@@ -169,7 +169,7 @@ class BurstMaker(Protocol):
 
     Attributes:
         counters: the next alive counter of each command frame, by the frame's name.
-        is_torn: the bus took only a part of the last burst that it took anything of.
+        is_torn: the bus accepted only a part of the last burst.
     """
 
     counters: dict[str, int]
@@ -179,17 +179,17 @@ class BurstMaker(Protocol):
         """Return the frames of this tick: the motion frames, then others that were requested."""
 
     def restore(self, sent: Mapping[int, int]) -> None:
-        """These counters, by identifier, were sent last."""
+        """Continue after these counters, by identifier."""
 
     def sent(self, frames: list[Frame]) -> None:
-        """These were sent, the first of a burst: their counters advance."""
+        """Advance the counters of the frames that were sent, the first ones of a burst."""
 
 
 class BusGate(Protocol):
     """Admits a burst as a whole or not at all.
 
     Attributes:
-        counters: the last alive counter of each identifier that was ever sent.
+        counters: the last sent alive counter of each identifier.
     """
 
     counters: dict[int, int]
@@ -197,20 +197,20 @@ class BusGate(Protocol):
     def admit(
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
     ) -> GateFault | None:
-        """Return the fault for which these frames must not be sent together, or None if they may."""
+        """Return why these frames must not be sent together, or None if they may."""
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
-        """These were sent, the first of a burst that was admitted."""
+        """Note the frames that were sent, the first ones of an admitted burst."""
 
     def pause(self) -> None:
-        """Nothing is sent, on purpose."""
+        """Note an intended pause."""
 
 
 class BusView(Protocol):
     """The chassis as the guard reads it from the bus; speeds are magnitudes but for that of the wheels.
 
     Attributes:
-        next_counters: the counter that each received command frame would have next, by its name.
+        next_counters: the next counter of each received command frame, by name.
         commander_ns: when a command frame that moves the robot was last received; None if never.
     """
 
@@ -218,16 +218,16 @@ class BusView(Protocol):
     commander_ns: int | None
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """A frame came from the bus."""
+        """Take a frame from the bus."""
 
     def has_feedback(self, now_ns: int) -> bool:
-        """Feedback comes."""
+        """True if any feedback arrives."""
 
     def is_complete(self, now_ns: int) -> bool:
-        """All that a stop has to begin from is there: mode, gear, angle and speed."""
+        """Mode, gear, angle and speed are known, from which a stop begins."""
 
     def mode(self, now_ns: int) -> Mode:
-        """Return the mode; UNDEFINED if none is reported, or remote in a single frame only."""
+        """Return the mode; UNDEFINED if unknown, or remote in a single frame only."""
 
     def gear(self, now_ns: int) -> GearPosition:
         """The gear feedback."""
@@ -236,44 +236,44 @@ class BusView(Protocol):
         """The steering feedback; straight ahead if there is none."""
 
     def is_braked(self, now_ns: int) -> bool | None:
-        """True if the parking brake reads applied; None if it is not reported."""
+        """True if the parking brake reads applied; None if unknown."""
 
     def stands(self, variant: Variant, now_ns: int) -> bool:
-        """The robot was slow whenever this was asked in the last 50 ms. False also when that cannot be seen."""
+        """The robot was slow at every call in the last 50 ms. False also if that cannot be seen."""
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
-        """The robot is seen to move."""
+        """True if the robot is seen to move."""
 
     def slowest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """The lowest speed that a sensor shows; None if there is no drive feedback, or no known scale."""
+        """The lowest measured speed; None without drive feedback or a known scale."""
 
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """The highest speed that a sensor shows; None if none shows any."""
+        """The highest measured speed; None if unknown."""
 
     def wheel_speed_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """The mean speed of the wheels, forward positive; None if they do not report it."""
+        """The mean speed of the wheels, forward positive; None if unknown."""
 
     def evidence_data(self, now_ns: int) -> bytes | None:
-        """The newest frame that is evidence of the variant; None if it is silent."""
+        """The newest evidence frame of the variant; None if silent."""
 
 
 class Chassis(msgspec.Struct, frozen=True):
-    """A chassis: all in which it differs from another. Built once, and handed to core, guard and simulation.
+    """All in which a chassis differs from others. Built once, for core, guard and simulation.
 
     Frames are named as in the DBC.
 
     Attributes:
         dbc_files: the DBC's name, by firmware variant.
-        rules: of plausible values, each with its feedback frame and signal. All of a frame's must hold.
-        evidence, tracker, maker, gate, view: make these parts, each as it is at a start. A gate with
-            ``may_release`` admits one release of the parking brake by a stop that it sees first.
-        light: the frame that says that all lamps are off.
+        rules: plausible values, each with feedback frame and signal. All rules of a frame must hold.
+        evidence, tracker, maker, gate, view: make these parts in their initial state. A gate with ``may_release``
+            allows one release of the parking brake in a stop that comes first.
+        light: the frame that switches all lamps off.
         lamps: its signals of headlamp, left and right indicator.
-        horn, odometer: the frame that is off, and the one that sounds it or clears it.
-        scaled_frames: the feedback frames whose layout depends on the variant: those of speeds.
+        horn, odometer: the frame that switches it off, and the one that sounds or clears it.
+        scaled_frames: the feedback frames of speeds, whose layout depends on the variant.
         speed_bit_mps: the smallest speed that a command can carry, by variant.
-        scale_ratio: between the speed scales of the coarse variant and of the fine one.
-        top_speed_mps, top_angle_deg: the chassis drives no faster and steers no further, either way.
+        scale_ratio: of the coarse variant's speed scale to the fine one's.
+        top_speed_mps, top_angle_deg: limits of the chassis, in either direction.
     """
 
     dbc_files: Mapping[Variant, str]
@@ -301,7 +301,7 @@ class Chassis(msgspec.Struct, frozen=True):
 
     @property
     def common(self) -> ChassisLayout:
-        """The layout for the frames that are the same in all variants: that of the first."""
+        """The layout of the first variant, for frames that are the same in all variants."""
         return self.layout(next(iter(self.dbc_files)))
 
     def decoder(self, layout: MessageLayout) -> MessageDecoder:
@@ -312,19 +312,19 @@ class Chassis(msgspec.Struct, frozen=True):
 
     @property
     def hazard(self) -> AuxiliaryFrame:
-        """The light frame by which a robot says that it is latched: both indicators."""
+        """The light frame of a latched robot: both indicators."""
         return msgspec.structs.replace(self.light, values=self.light.values | dict.fromkeys(self.indicators, True))
 
     @property
     def indicators(self) -> tuple[str, ...]:
-        """The signals of the light frame that blink."""
+        """The indicator signals of the light frame."""
         return self.lamps[1:]
 
 
 _HAIR: Final = 1e-6
-"""Of a bit, so that a value that is a whole number of bits is not taken for the one below."""
+"""Tolerance, in bits, so that a whole number of bits is not rounded to the one below."""
 
 
 def toward_zero(value: float, scale: float) -> float:
-    """Return the value of the nearest whole number of bits that is not beyond it."""
+    """Round toward zero to a whole number of bits."""
     return floor(abs(value) / scale + _HAIR) * scale * (-1 if value < 0 else 1)

@@ -1,10 +1,10 @@
 """Supervision: of streams of frames, of the CAN controller, and of the firmware variant. Pure.
 
-Linux makes error frames out of what the controller reports (linux/can/error.h), in the words of ISO 11898-1.
+Linux reports the controller's state in error frames (linux/can/error.h), in the terms of ISO 11898-1.
 
 The alive counter is judged as in AUTOSAR E2E profile 1, modulo 16: a step of 1 is right, 0 is a repetition, 2 to 3
-means that frames were lost, more is a wrong sequence. Sixteen lost frames would look like none, so silence is
-declared before that, and after a silence any counter is right. Lost frames are counted across it all the same: see
+means lost frames, more is a wrong sequence. Sixteen lost frames would look like none, so silence is declared
+before that, and after a silence any counter is right. Frames lost in a silence are still counted: see
 ``schemas.can_word``.
 """
 
@@ -20,7 +20,7 @@ from schemas.messages import ControllerState, Variant
 from schemas.settings import VARIANT_EVIDENCE_FRAMES
 
 _CONTROLLER: Final = 0x004
-"""Data byte 1 says what it is."""
+"""Details are in data byte 1."""
 
 _BUS_OFF: Final = 0x040
 _RESTARTED: Final = 0x100
@@ -28,7 +28,7 @@ _RESTARTED: Final = 0x100
 _WARNING: Final = 0x0C
 _PASSIVE: Final = 0x30
 _ACTIVE: Final = 0x40
-"""Of data byte 1, for receiving or sending."""
+"""In data byte 1, for receiving or sending."""
 
 
 def controller_state(frame: Frame) -> ControllerState | None:
@@ -55,8 +55,8 @@ class AliveCounter:
 
     Attributes:
         faults: +1 for each fault, -1 for each good frame, from 0 to the limit.
-        lost: frames that the counter passed over since the start.
-        repeats: frames in a row that repeated the counter.
+        lost: frames skipped by the counter since the start.
+        repeats: consecutive frames with the same counter.
     """
 
     __slots__ = ("_expected", "_forgotten", "faults", "lost", "repeats")
@@ -70,11 +70,11 @@ class AliveCounter:
 
     @property
     def has_failed(self) -> bool:
-        """The fault count is at its limit."""
+        """The fault count has reached its limit."""
         return self.faults >= settings.ALIVE_FAULTS
 
     def forget(self) -> None:
-        """Accept whatever counter comes next: the stream begins anew. What it passes over is lost all the same."""
+        """Accept any next counter. Frames that it skips still count as lost."""
         if self._expected is not None:
             self._forgotten, self._expected = self._expected, None
         self.repeats = 0
@@ -93,7 +93,7 @@ class AliveCounter:
         return self._judge((counter - expected) % COUNTER_SPAN)
 
     def _judge(self, beyond: int) -> FaultKind:
-        """The fault of a counter that is this far beyond the expected one; a repeated one is 15 beyond."""
+        """The fault of a counter this far beyond the expected one; a repeated one is 15 beyond."""
         if self.faults < settings.ALIVE_FAULTS:
             self.faults += 1
         if beyond == COUNTER_SPAN - 1:
@@ -119,7 +119,7 @@ class Period:
         self.has_failed = False
 
     def forget(self) -> None:
-        """Begin a new window with the next frame; what was found before no longer holds."""
+        """Begin a new window with the next frame, and clear the failure."""
         self._frames = -1
         self.has_failed = False
 
@@ -153,29 +153,27 @@ class FaultWindow:
         self._times_ns: deque[int] = deque(maxlen=limit)
 
     def fault(self, now_ns: int) -> None:
-        """A frame came with the fault."""
         self.faults += 1
         self._times_ns.append(now_ns)
 
     def has_failed(self, now_ns: int) -> bool:
-        """As many faults as the limit within the window that ends now."""
+        """The limit of faults was reached within the window that ends now."""
         times = self._times_ns
         return len(times) == times.maxlen and now_ns - times[0] <= self._window_ns
 
 
 def silence_ns(period_ns: int) -> int:
-    """Return the time for which a frame may stay away before it counts as silent."""
+    """Return the time without a frame after which it counts as silent."""
     return max(settings.SILENCE_PERIODS * period_ns, settings.SILENCE_MIN_NS)
 
 
 class FrameSupervisor:
-    """Everything that is watched about one feedback frame.
+    """All supervision of one feedback frame.
 
     Attributes:
-        alive, period, checksums, implausible: the machines of each property.
-        is_silent: the frame is missing, or a tick has found it overdue; true until the first one comes.
-        overdue_ns: when it will have become overdue, if no valid one comes before.
-        valid: valid frames since the start: neither the checksum nor a value is at fault.
+        is_silent: the frame is missing or overdue; true until the first one comes.
+        overdue_ns: when it becomes overdue unless a valid frame comes first.
+        valid: frames since the start with a right checksum and plausible values.
     """
 
     __slots__ = (
@@ -207,11 +205,11 @@ class FrameSupervisor:
 
     @property
     def lost(self) -> int:
-        """Frames missed since the start, by the alive counter; how often it went round unseen is judged later."""
+        """Frames lost since the start, by the alive counter; its unseen rounds are added later."""
         return self.alive.lost + self._rounds.lost
 
     def failures(self, now_ns: int) -> list[str]:
-        """Return the names of what is beyond its threshold now."""
+        """Return the names of the checks that fail now."""
         failed = {
             "checksum": self.checksums.has_failed(now_ns),
             "implausible": self.implausible.has_failed(now_ns),
@@ -222,7 +220,7 @@ class FrameSupervisor:
         return [name for name, has_failed in failed.items() if has_failed]
 
     def receive(self, alive_counter: int, now_ns: int) -> tuple[FaultKind, ...]:
-        """A valid frame came. Returns what is wrong with its alive counter and its period."""
+        """Take a valid frame. Returns the faults of its alive counter and its period."""
         elapsed_ns = now_ns - self._valid_ns
         if elapsed_ns >= self._rounds.window_ns or self._rounds.is_waiting:
             self._follow(alive_counter, elapsed_ns, now_ns)
@@ -230,7 +228,7 @@ class FrameSupervisor:
         self.valid += 1
         alive_fault = self.alive.receive(alive_counter)
         if not self.alive.repeats:
-            # A frame that only repeats its counter says nothing new: it becomes overdue like one that stays away.
+            # A frame that repeats its counter carries no news: it becomes overdue like a missing one.
             self.is_silent = False
             self.overdue_ns = now_ns + self._silence_ns
         period_fault = self.period.receive(now_ns)
@@ -239,7 +237,7 @@ class FrameSupervisor:
         return tuple(fault for fault in (alive_fault, period_fault) if fault is not None)
 
     def tick(self, now_ns: int) -> FaultKind | None:
-        """Time passes. Returns SILENCE once, when the frame has become overdue."""
+        """Returns SILENCE once, when the frame has become overdue."""
         if now_ns <= self.overdue_ns:
             return None
         self.is_silent = True
@@ -261,20 +259,19 @@ class VariantEvidence(Protocol):
     """Reads the firmware variant in a frame of the chassis."""
 
     def of(self, data: bytes) -> Variant:
-        """The variant for which these data speak; UNKNOWN if they speak for none."""
+        """The variant that these data indicate; UNKNOWN if none."""
 
     def turns(self, data: bytes) -> bool | None:
-        """Return True if these data are of no standing robot in any variant; None if they are not valid."""
+        """Return True if these data show motion in every variant; None if they are not valid."""
 
 
 class VariantDetector:
-    """Collects evidence until it is enough; afterwards watches for evidence to the contrary.
+    """Collects evidence until it suffices, then watches for evidence to the contrary.
 
     Attributes:
-        variant: the configured variant, or the one that the evidence confirmed, or UNKNOWN.
+        variant: the configured or confirmed one, or UNKNOWN.
         confirmed: the evidence agrees with ``variant``.
-        contradicted: the evidence is against it; no speed can be trusted.
-        evidence: reads it in a frame.
+        contradicted: the evidence contradicts it; no speed can be trusted.
     """
 
     def __init__(self, configured: Variant, evidence: VariantEvidence) -> None:
@@ -284,11 +281,11 @@ class VariantDetector:
 
     @property
     def in_force(self) -> Variant:
-        """The variant in force; UNKNOWN while there is no evidence, or evidence against it."""
+        """UNKNOWN without evidence, or with evidence against it."""
         return Variant.UNKNOWN if self.contradicted else self.variant
 
     def reset(self) -> None:
-        """Forget the evidence: the bus was away, and another chassis may be on it now."""
+        """Forget the evidence, because another chassis may be on the bus now."""
         self.variant = self._configured
         self.confirmed = False
         self.contradicted = False
@@ -296,7 +293,7 @@ class VariantDetector:
         self._streak = 0
 
     def receive(self, data: bytes) -> FaultKind | None:
-        """Take a valid frame as evidence. Returns a fault if it speaks for another variant."""
+        """Take a valid frame as evidence. Returns a fault if it indicates another variant."""
         evidence = self.evidence.of(data)
         self._streak = self._streak + 1 if evidence == self._candidate else 1
         self._candidate = evidence
@@ -305,7 +302,7 @@ class VariantDetector:
         contrary = self.variant not in {Variant.UNKNOWN, evidence}
         if self._streak >= VARIANT_EVIDENCE_FRAMES:
             if self._configured is Variant.UNKNOWN:
-                # Nobody has said which it is, so the evidence decides, also when the chassis has been changed.
+                # Without a configured variant the evidence decides, also after a change of the chassis.
                 self.variant = evidence
             self.confirmed = evidence == self.variant
             self.contradicted = not self.confirmed

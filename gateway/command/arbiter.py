@@ -1,7 +1,6 @@
 """The safety arbiter: requests and the chassis's state in, commands to the chassis out. Pure.
 
-Read ``Arbiter.tick`` first: the chassis's state, the requests, the causes to stop, the command to the chassis.
-``Reporter`` makes the samples of it. The states that the steps act on are in ``lease``, ``monitor``, ``motion``,
+Read ``Arbiter.tick`` first. ``Reporter`` makes the samples. The states are in ``lease``, ``monitor``, ``motion``,
 ``output`` and ``rulings``; ``engagement`` holds those of a robot under command.
 """
 
@@ -45,13 +44,12 @@ class Arbiter:
     """Everything that decides whether and how the robot moves.
 
     Attributes:
-        tick_number: rises with each tick, from a number that differs with each run.
-        engagement: the robot under command. Its states are the arbiter's attributes too: ``monitor``,
-            ``setpoint``, ``output``, ``auxiliary``, ``handover``, ``latches``, ``outbox``.
+        tick_number: rises with each tick, from a random start in each run.
+        engagement: the robot under command. Its parts are attributes of the arbiter too.
     """
 
     def __init__(self, chassis: Chassis, settings: Settings, run: int) -> None:
-        """Begin in standby. The run's random number tells its leases and ticks from others'; it is public."""
+        """Begin in standby. The run is a random number, public, that makes its leases and ticks unique."""
         command = settings.command
         random = Random(run)  # noqa: S311 - tells runs apart; it keeps no secret
         self.tick_number = random.getrandbits(_TICK_BITS)
@@ -72,11 +70,10 @@ class Arbiter:
 
     @property
     def state(self) -> ArbiterState:
-        """The state in the arbiter's state table."""
         return self.engagement.state
 
     def tick(self, chassis: ChassisState, requests: list[RawRequest], now_ns: int, late_ns: int) -> TickOutcome:
-        """Decide the command to the chassis for the next ten milliseconds. Requests come stops first."""
+        """Decide the command to the chassis for the next 10 ms. Stops come first among the requests."""
         self.tick_number += 1
         output = self.output
         self.monitor.update(chassis, now_ns, output.told)
@@ -96,7 +93,7 @@ class Arbiter:
         return TickOutcome(output.actuation, auxiliary, judged, *self.outbox.take())
 
     def end_lease(self, reason: Reason, detail: str, now_ns: int) -> None:
-        """Take the lease from its holder, whose grant does not hold any more, and stop the robot."""
+        """End the lease, because its holder's grant is no longer valid, and stop the robot."""
         lease = self.leases.held
         if lease is None:
             return
@@ -107,18 +104,18 @@ class Arbiter:
             self.engagement.begin_stop(reason, now_ns, detail, lease.operator)
 
     def note_left(self) -> None:
-        """Note that the bus took the whole burst: what a chassis that was left executes again is now this one."""
+        """Note that the bus took the whole burst: a chassis that was handed over would execute this one again."""
         if self.handover.left is not None and self.output.actuation is not None:
             self.handover.left = self.output.actuation
 
-    # What is asked.
+    # Requests.
 
     def _rule(self, request: RawRequest, now_ns: int) -> Ruling:
         ruling = self._verbs.rule(request, now_ns)
         self.outbox.answer(request, ruling)
         return ruling
 
-    # What speaks against it.
+    # Causes to stop.
 
     def _expire_lease(self, now_ns: int) -> None:
         lost = self.leases.expire(now_ns)
@@ -130,7 +127,7 @@ class Arbiter:
             self.engagement.begin_stop(Reason.LEASE_EXPIRED, now_ns, operator=lost.operator)
 
     def _give_way(self, chassis: ChassisState, now_ns: int) -> None:
-        """Cease the output at once where somebody else commands the chassis, or no command can reach it."""
+        """End the output at once if another party commands the chassis, or no command can reach it."""
         before, self._guard_stops = self._guard_stops, chassis.guard_stops
         if self.engagement.state is ArbiterState.STANDBY:
             has_acted = before is not None and chassis.guard_stops > before
@@ -139,7 +136,7 @@ class Arbiter:
             return
         reason = self.handover.reason_to_yield(chassis)
         if reason is Reason.MODE_NOT_AUTO and (chassis.moves or self.state is ArbiterState.STOPPING):
-            # Nobody commands it, and it may coast: the parking brake is told all the same.
+            # It has no commander and may coast, so the parking brake is commanded anyway.
             self.engagement.begin_stop(reason, now_ns)
         elif reason is not Reason.NONE:
             self.engagement.leave(reason, now_ns)
@@ -160,7 +157,7 @@ class Arbiter:
             self._stop_for_lapses(chassis, now_ns)
 
     def _stop_for_strays(self, chassis: ChassisState, now_ns: int) -> None:
-        """Stop a chassis that executes a command which nobody renews. Only in standby."""
+        """Stop a chassis that executes an old command. Only in standby."""
         engagement = self.engagement
         if self.handover.is_given_back(chassis) and self.latches.details:
             # The remote control may have released the parking brake that the latched stop applied.
@@ -169,7 +166,7 @@ class Arbiter:
         if is_taken or chassis.mode is Mode.REMOTE:
             engagement.forget_rest()
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):
-            # It was left while it was being told something, and may obey that again: nothing resumes by itself.
+            # It may execute the command that it was left with again: motion never resumes automatically.
             engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by an earlier command")
         elif (
             engagement.owes_stop
@@ -183,7 +180,7 @@ class Arbiter:
 
     @property
     def limits_of_next_engage(self) -> MotionLimits:
-        """The highest limits that would be in force if the robot were engaged now."""
+        """The limits that an engagement would have now."""
         return self._lowered(self.setpoint.configured_limits)
 
     def _lowered(self, limits: MotionLimits) -> MotionLimits:
@@ -192,7 +189,7 @@ class Arbiter:
         return limits if is_whole else limits.lowered(self._speed_limit_without_realtime_mps)
 
     def _stop_for_faults(self, now_ns: int, late_ns: int) -> None:
-        # During a stop too: a graver cause hastens it, and may latch.
+        # During a stop too: a more severe cause speeds it up, and may latch.
         is_engaged = self.state is ArbiterState.ENGAGED
         limit_mps = self.setpoint.limits.speed_mps
         for reason in self.monitor.faults(self.output.told, limit_mps, late_ns, now_ns, is_engaged=is_engaged):
@@ -201,22 +198,22 @@ class Arbiter:
             else:
                 self.engagement.begin_stop(reason, now_ns, self.monitor.fault_detail(reason, late_ns))
         if self.monitor.plausibility.runs_away and self.output.sequence is not None:
-            # A ramp would be in vain: the motor does not hold it.
+            # A ramp is useless: the motor does not hold the robot.
             self.output.sequence.park(now_ns)
         if self.output.variant is Variant.UNKNOWN:
             self.engagement.begin_stop(Reason.VARIANT_UNKNOWN, now_ns)
 
     def _slips(self, now_ns: int) -> bool:
-        """Return True if the robot stood by its motor, and began to roll once its parking brake read applied."""
+        """Return True if the motor held the robot, and it began to roll once its parking brake read applied."""
         held_ns = self.output.motion.held_ticks * TICK_NS
         return held_ns > 0 and 0 <= held_ns - self.monitor.plausibility.rolling_ns(now_ns) <= SLIPS_NS
 
     def _stop_for_lapses(self, chassis: ChassisState, now_ns: int) -> None:
-        """Stop where somebody ought to have done something in time, and has not."""
+        """Stop because something expected did not happen in time."""
         engagement, setpoint = self.engagement, self.setpoint
         if engagement.needs_guard and not chassis.guarded:
             engagement.begin_stop(Reason.UNGUARDED, now_ns)
-        # It stays lower until the robot is engaged again: limits are never raised while it is driven.
+        # The limit stays low until the next engagement: it never rises while the robot is driven.
         setpoint.limits = self._lowered(setpoint.limits)
         if engagement.state is ArbiterState.ENGAGING and now_ns >= engagement.engage_until_ns:
             engagement.begin_stop(Reason.NOT_CONFIRMED, now_ns, "the chassis did not switch to mode auto")
@@ -226,11 +223,11 @@ class Arbiter:
         elif engagement.state is ArbiterState.ENGAGED and engagement.standing.is_idle(now_ns):
             engagement.begin_stop(Reason.IDLE, now_ns, f"for {engagement.standing.idle_ns / 1e9:.0f} s")
 
-    # What the chassis is told.
+    # The command to the chassis.
 
     def _act(self, chassis: ChassisState, now_ns: int, late_ns: int) -> Actuation | None:
         engagement, output, setpoint = self.engagement, self.output, self.setpoint
-        # That it reads auto confirms nothing before the enables were sent.
+        # Mode auto confirms nothing before the enables were sent.
         was_told = output.actuation is not None
         if engagement.state is ArbiterState.ENGAGING and was_told and chassis.mode is Mode.AUTO:
             self.link.fresh_ns = now_ns
@@ -250,7 +247,7 @@ class Arbiter:
         return actuation
 
     def _warn(self, target: Target, now_ns: int) -> bool:
-        """Warn people before the robot moves, where that is set. Returns whether it is held for that."""
+        """Warn people before the robot moves, if configured. Returns True while the robot must wait for that."""
         standing, setpoint = self.engagement.standing, self.setpoint
         standing.tick(
             now_ns,
@@ -275,12 +272,7 @@ _SHIFTING: Final = frozenset({Bound.GEAR, Bound.REVERSAL, Bound.PARKING})
 
 
 class Reporter:
-    """Makes the messages of one arbiter, each subject with a sequence of its own.
-
-    Attributes:
-        sequences: the next one of each message, by the class's name.
-        state_due_ns: when the next state is due.
-    """
+    """Makes the messages of one arbiter. ``sequences``: the next one by class name."""
 
     def __init__(self, arbiter: Arbiter) -> None:
         self._arbiter = arbiter
@@ -289,13 +281,13 @@ class Reporter:
         self._said: tuple[object, ...] = ()
 
     def restore(self, sequences: dict[str, int], state_due_ns: int, now_ns: int) -> None:
-        """Continue after this many messages, the last one with the arbiter's present state."""
+        """Continue after this many messages; the last one held the present state."""
         self.sequences = dict(sequences)
         self.state_due_ns = state_due_ns
         self._said = self._says(self._blocked_by(now_ns))
 
     def state(self, now_ns: int, wall_ns: int, challenge: bytes) -> SafetyState | None:
-        """The arbiter's state, if it is due or something has changed. Only then is the challenge published."""
+        """Return the state if it is due or has changed. Only then is the challenge published."""
         arbiter = self._arbiter
         blocked_by = self._blocked_by(now_ns)
         lease = arbiter.leases.held
@@ -355,7 +347,7 @@ class Reporter:
         )
 
     def decision(self, judged: Judged, bounds: list[Bound], frames_sent: int, wall_ns: int) -> Decision:
-        """Return the decision on a request, once it is known what was sent in its tick."""
+        """Return the decision on a request, after the tick's frames were sent."""
         ruling = judged.ruling
         output = self._arbiter.output.actuation or AT_REST
         accepted = ruling.reason is Reason.NONE
@@ -381,7 +373,6 @@ class Reporter:
         )
 
     def event(self, event: Event, wall_ns: int) -> SafetyEvent:
-        """Return an event as a message."""
         return SafetyEvent(
             time_ns=wall_ns,
             sequence=self._next(SafetyEvent),
@@ -390,7 +381,7 @@ class Reporter:
         )
 
     def _says(self, blocked_by: list[Reason]) -> tuple[object, ...]:
-        """Return what is published at once when it changes."""
+        """Return the values whose change is published at once."""
         arbiter = self._arbiter
         lease = arbiter.leases.held
         return (
@@ -404,7 +395,7 @@ class Reporter:
         )
 
     def _blocked_by(self, now_ns: int) -> list[Reason]:
-        """Return the reasons for which the robot stands still, or cannot be engaged."""
+        """Return why the robot stands still or cannot be engaged."""
         arbiter = self._arbiter
         match arbiter.state:
             case ArbiterState.STANDBY:
@@ -429,7 +420,7 @@ class Reporter:
 
 
 def reply(answer: VerbAnswer) -> Reply:
-    """The typed reply to a verb; an unknown verb gets the plainest one."""
+    """Return the typed reply to a verb; a plain ``Reply`` for an unknown one."""
     ruling = answer.ruling
     command = BY_VERB.get(answer.verb)
     kind = command.reply if command is not None else Reply

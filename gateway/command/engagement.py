@@ -1,8 +1,4 @@
-"""Each way into and out of motion, and the standstill that it wants.
-
-- The consequences of standing: people are warned before a robot moves, and an idle one is disengaged. Pure.
-- The robot under command: it is engaged, stopped, left to others, latched. Pure.
-"""
+"""Each way into and out of motion: engage, stop, hand over, latch; warn people, disengage an idle robot. Pure."""
 
 from __future__ import annotations
 
@@ -42,11 +38,7 @@ _NS_PER_S: Final = 1_000_000_000
 
 
 class Standing:
-    """The times of an engaged robot that is told to stand.
-
-    Attributes:
-        idle_ns: an engaged robot that is asked for no speed for so long is disengaged; 0 is never.
-    """
+    """The times of an engaged robot at standstill. ``idle_ns``: it is disengaged after this time; 0 is never."""
 
     def __init__(self, settings: CommandSettings) -> None:
         self.idle_ns = round(settings.idle_s * _NS_PER_S)
@@ -54,12 +46,12 @@ class Standing:
         self._asked_ns = self._stood_ns = 0
 
     def begin(self, now_ns: int) -> None:
-        """Begin with a robot that has not moved: people are warned."""
+        """Begin with a robot at standstill: people are warned before it moves."""
         self._asked_ns = now_ns
         self._stood_ns = now_ns + self._warning_ns
 
     def tick(self, now_ns: int, *, is_asked: bool, is_parked: bool, moves: bool) -> None:
-        """Note whether a speed is asked for, and whether one was told in the last tick. Parked, none is told."""
+        """Note whether a speed is requested, and whether one was commanded in the last tick."""
         if is_asked:
             self._asked_ns = now_ns
         if moves:
@@ -68,11 +60,11 @@ class Standing:
             self._stood_ns = now_ns + self._warning_ns
 
     def warning_until_ns(self, now_ns: int) -> int | None:
-        """Return when the warning that is under way ends; None if there is none."""
+        """Return when the present warning ends; None if there is none."""
         return self._stood_ns if now_ns < self._stood_ns else None
 
     def is_idle(self, now_ns: int) -> bool:
-        """No speed was asked for, for as long as a robot may be engaged without."""
+        """No speed was requested for ``idle_ns``."""
         return 0 < self.idle_ns <= now_ns - self._asked_ns
 
 
@@ -80,14 +72,13 @@ class Engagement:
     """The robot under command: its states, and every way into and out of motion.
 
     Attributes:
-        stop_reason, stop_detail: why the last stop was begun, and its figures.
+        stop_reason, stop_detail: cause and figures of the last stop.
         owes_stop: a stop could not be carried out, or ended without an applied parking brake.
-        engage_until_ns: while engaging, when the chassis must read auto, monotonic.
-        is_closing: the gateway is to end; nothing is engaged any more.
-        needs_guard: nothing is commanded that no guard watches.
-        is_after_crash: the gateway before this one did not end in order: the first robot that is found moving is
-            latched.
-        bars: why nobody may engage the robot, found outside the command flow, each with its words.
+        engage_until_ns: while engaging, the time by which the chassis must read auto, monotonic.
+        is_closing: the gateway shuts down; engage requests are refused.
+        needs_guard: the robot is not commanded without a guard.
+        is_after_crash: the gateway before this one crashed: the first uncommanded motion is latched.
+        bars: reasons outside the command flow against engaging, each with its words.
     """
 
     def __init__(self, chassis: Chassis, settings: CommandSettings, *, needs_guard: bool) -> None:
@@ -115,7 +106,7 @@ class Engagement:
         self._rested_ns: int | None = None
 
     def blockers(self, now_ns: int) -> list[Reason]:
-        """Return why the robot cannot be engaged now, whoever asks; the gravest first."""
+        """Return why the robot cannot be engaged now, the most severe first."""
         monitor, chassis = self.monitor, self.monitor.chassis
         conditions = {
             Reason.SHUTDOWN: self.is_closing,
@@ -136,7 +127,7 @@ class Engagement:
     # Into motion.
 
     def begin_engaging(self, limits: MotionLimits, now_ns: int) -> None:
-        """Give the five enables with zero speed. Nothing speaks against it any more."""
+        """Command the five enables with zero speed, after all checks."""
         self._go(Trigger.ENGAGE)
         self.owes_stop = self.is_after_crash = False
         self._returns = 0
@@ -152,7 +143,7 @@ class Engagement:
         self.engage_until_ns = now_ns + ENGAGE_TIMEOUT_NS
 
     def confirm(self, holder: str, now_ns: int) -> None:
-        """The chassis reads auto: it is engaged."""
+        """Change to engaged, because the chassis reads auto."""
         self._go(Trigger.CONFIRMED)
         self.standing.begin(now_ns)
         self.setpoint.target = Target(0.0, self.output.motion.angle_deg)
@@ -163,7 +154,7 @@ class Engagement:
     # Out of motion.
 
     def begin_stop(self, reason: Reason, now_ns: int, detail: str = "", operator: str = "") -> None:
-        """Bring the robot to rest for this cause if it is under command, and latch what the table latches."""
+        """Bring a robot under command to rest, and latch the cause if the table says so."""
         rule = STOPS[reason]
         self.latch(reason, detail, now_ns, operator)
         output, chassis = self.output, self.monitor.chassis
@@ -179,7 +170,7 @@ class Engagement:
             is_barred = not chassis.bus_up or chassis.mode is Mode.REMOTE
             self.owes_stop |= is_barred and reason is Reason.REMOTE_STOP
             if not may_be_stopped(chassis):
-                return  # Standing by stays silent.
+                return  # Silent in standby.
             self.setpoint.limits = self.setpoint.configured_limits
             self._begin_output(last)
         returns = self._count_returns(now_ns) if is_stray else 0
@@ -192,10 +183,10 @@ class Engagement:
             stood_by_motor=not is_stray and last.parking and 0 < output.motion.held_ticks * TICK_NS <= SLIPS_NS,
         )
         if is_stray and Reason.BRAKE_SLIPS in self.latches.details and not last.parking:
-            # The motor held it before; the brake that does not is not tried again.
+            # The motor held it before; do not try again a brake that slips.
             output.sequence.release(now_ns)
         is_repeated = is_stray and self._note_stray(now_ns)
-        # The remote control may have a robot whose mode is not known: a ramp would leave it a speed.
+        # With an unknown mode the remote control may be in command: a ramp would leave a speed in the chassis.
         is_unsure = is_stray and chassis.mode is not Mode.AUTO
         if rule.parks or chassis.mode is Mode.STOP or is_unsure or is_repeated:
             output.sequence.park(now_ns)
@@ -212,14 +203,14 @@ class Engagement:
         self.outbox.add_event(severity, EventKind.STOP, reason, text, operator)
 
     def release_brake(self, now_ns: int, detail: str) -> None:
-        """Give an engaged robot back to its motor, which held it: its parking brake does not. Latched."""
+        """Release a parking brake that slips, so that the motor holds the robot again. Latched."""
         self.begin_stop(Reason.BRAKE_SLIPS, now_ns, detail)
         if self.output.sequence is not None:
             self.output.sequence.release(now_ns, self.monitor.chassis.wheel_speed_mps)
 
     def latch(self, reason: Reason, detail: str, now_ns: int, operator: str = "") -> None:
         """Keep the robot from being engaged until a reset, if the table says so."""
-        # Guard and gateway may have died together while the robot drove: nobody else has latched that.
+        # Guard and gateway may have died together while the robot drove, so nothing was latched.
         is_left_moving = self.is_after_crash and reason is Reason.FOUND_MOVING
         self.is_after_crash &= not is_left_moving
         if not STOPS[reason].latched and not is_left_moving:
@@ -231,10 +222,7 @@ class Engagement:
             self.outbox.add_event(Severity.ERROR, EventKind.LATCH, reason, text, operator)
 
     def prove(self, reason: Reason, claimed: str, proven: str, operator: str) -> None:
-        """Say who latched this remote stop, if that is proven only now. The event has no reason, for none is new.
-
-        The proven name is among those who stopped the robot already; here the claimed one goes.
-        """
+        """Replace the claimed sender of a remote stop by the proven one. The event has no reason of its own."""
         if not self.latches.withdraw(claimed):
             return
         if (self.stop_reason, self.stop_detail) == (reason, claimed):
@@ -243,9 +231,9 @@ class Engagement:
         self.outbox.add_event(Severity.INFO, EventKind.LATCH, Reason.NONE, text, operator)
 
     def refuse_output(self, detail: str, now_ns: int) -> Actuation:
-        """Stop the robot: the gate rejected this tick's output, which is a fault of our own.
+        """Stop the robot, because the gate refused this tick's output: an internal fault.
 
-        Returns the command in its place: zero speed and the parking brake, and all else as commanded last.
+        Returns the command instead: zero speed and the parking brake, all else as commanded last.
         """
         self.output.undo_step()
         last = self._last_told()
@@ -255,7 +243,7 @@ class Engagement:
         return instead
 
     def shut_down(self, now_ns: int) -> None:
-        """Bring the robot to rest, and reject further engage requests: the gateway shuts down."""
+        """Bring the robot to rest, and refuse further engage requests."""
         self.is_closing = True
         text = "shutting down"
         self.outbox.add_event(Severity.INFO, EventKind.GATEWAY, Reason.SHUTDOWN, text)
@@ -263,7 +251,7 @@ class Engagement:
             self.begin_stop(Reason.SHUTDOWN, now_ns)
 
     def step_stop(self, sequence: StopSequence, now_ns: int, late_ns: int) -> Actuation | None:
-        """Return the command to the chassis in this tick of a stop; None when the stop has ended."""
+        """Return this tick's command of a stop; None when the stop has ended."""
         actuation = self.output.step_stop(sequence, self.monitor, now_ns, late_ns)
         if sequence.lacks_brake(now_ns) and not self._is_brake_missed:
             self._is_brake_missed = True
@@ -280,21 +268,21 @@ class Engagement:
 
     @property
     def is_held_by_motor(self) -> bool:
-        """True if a stop does not end by itself, for the parking brake does not hold the robot."""
+        """True if a stop cannot end, because the parking brake does not hold the robot."""
         return self.output.sequence is not None and self.output.sequence.stays
 
     def may_finish(self, now_ns: int) -> bool:
-        """Return True if such a stop may end by a reset: the robot has stood braked for long enough."""
+        """Return True if a reset may end such a stop: the robot has stood braked for long enough."""
         sequence = self.output.sequence
         return sequence is not None and sequence.stays and sequence.is_braked(now_ns)
 
     def finish_stop(self, now_ns: int) -> None:
-        """Let such a stop end; it begins again where the robot moves."""
+        """Let such a stop end; it begins again if the robot moves."""
         if self.output.sequence is not None:
             self.output.sequence.finish(now_ns)
 
     def leave(self, reason: Reason, now_ns: int) -> None:
-        """Cease the output at once: somebody else commands the chassis, or no command can reach it."""
+        """End the output at once, because another party commands the chassis or no command can reach it."""
         output, chassis = self.output, self.monitor.chassis
         detail = chassis.guard_says if reason is Reason.GUARD else ""
         if reason is Reason.GUARD:
@@ -330,33 +318,30 @@ class Engagement:
         self.outbox.add_event(severity, EventKind.STOPPED, self.stop_reason, f"stopped: {text}")
 
     def _begin_output(self, last: Actuation) -> None:
-        """Begin to command the chassis; ``last`` is the command that it must have had before."""
+        """Begin to command the chassis; ``last`` is its previous command."""
         chassis = self.monitor.chassis
         self.output.begin(chassis.variant)
         self.monitor.plausibility.forget(chassis.wheel_speed_mps or 0.0, last.angle_deg)
         self.handover.begin(chassis)
 
     def _last_told(self) -> Actuation:
-        """Return the chassis's last command, known or inferred: a stop begins from it."""
+        """Return the chassis's last command, known or inferred, from which a stop begins."""
         if self.output.actuation is not None:
             return self.output.actuation
         limits, left = self.setpoint.configured_limits, self.handover.left
         return inferred_actuation(self.monitor.chassis, limits, self._design.wheelbase_m, left)
 
     def forget_rest(self) -> None:
-        """Others command the chassis: that it moves says nothing about its parking brake."""
+        """Forget the last rest: motion commanded by others is no evidence about the parking brake."""
         self._returns, self._rested_ns = 0, None
 
     def _count_returns(self, now_ns: int) -> int:
-        """Return how often the robot has moved since its last stop took the enables away."""
+        """Return how often the robot has moved since its last stop withdrew the enables."""
         is_return = self._rested_ns is not None and now_ns - self._rested_ns < RETURN_NS
         return self._returns + 1 if is_return and self.monitor.chassis.moves else 0
 
     def _note_stray(self, now_ns: int) -> bool:
-        """Remember a stop that begins while standing by.
-
-        Returns whether one began a moment ago already, as where the mode flickers.
-        """
+        """Note a stop that begins in standby. Returns True if another one began just before: the mode flickers."""
         before_ns, self._stray_ns = self._stray_ns, now_ns
         return before_ns is not None and now_ns - before_ns < REPEATED_NS
 

@@ -22,7 +22,7 @@ from schemas.subjects import RESET_ODOMETRY_VERB
 
 
 class PendingReply(msgspec.Struct, frozen=True):
-    """A reply that is due: to whom, and what. Its proof is attached by whoever sends it."""
+    """A reply that is due. The sender attaches its proof."""
 
     handle: int
     verb: str
@@ -31,7 +31,7 @@ class PendingReply(msgspec.Struct, frozen=True):
 
 
 class TickEffects(msgspec.Struct):
-    """The effects of a tick, in this order: send the frames, say how many went out, reply, publish, log."""
+    """The effects of a tick, in this order: send the frames, report how many were sent, reply, publish, log."""
 
     frames: list[Frame]
     replies: list[PendingReply]
@@ -44,9 +44,9 @@ class CommandFlow:
     """Everything between a request and a frame.
 
     Attributes:
-        is_mute: the gate refuses even the stop sequence, or our way to the bus is lost: the guard has to act.
-        busy_ns: when somebody last asked something, or something was told, monotonic.
-        asked_ns: when somebody last asked something, or the chassis was commanded, monotonic.
+        is_mute: the gate refuses even the stop sequence, or the connection to the bus is lost: the guard must act.
+        busy_ns: time of the last request, command or event, monotonic.
+        asked_ns: time of the last request or command, monotonic.
     """
 
     def __init__(self, chassis: Chassis, settings: Settings, run: int) -> None:
@@ -70,7 +70,7 @@ class CommandFlow:
         late_ns: int,
         challenge: bytes,
     ) -> TickEffects:
-        """Ten milliseconds have passed; see ``Arbiter.tick``. The challenge is for a state that is due."""
+        """Run the tick, every 10 ms; see ``Arbiter.tick``. The challenge is published if a state is due."""
         outcome = self._outcome = self.arbiter.tick(chassis, requests, now_ns, late_ns)
         self._offered = self._frames(outcome, now_ns)
         if outcome.judged or outcome.actuation is not None:
@@ -89,7 +89,7 @@ class CommandFlow:
         return TickEffects(self._offered, replies, samples, events, resets_odometry)
 
     def sent(self, count: int, now_ns: int, wall_ns: int) -> list[Sample]:
-        """So many of the tick's frames were taken by the bus; the rest are lost and are never sent later."""
+        """Note how many of the tick's frames the bus accepted; the rest are never sent. Returns the decisions."""
         outcome, offered = self._outcome, self._offered
         if outcome is None:
             return []
@@ -115,7 +115,7 @@ class CommandFlow:
             self.gate.pause()
             return []
         if self.arbiter.output.begun != self._tellings:
-            # It yielded and begins anew in one tick: what was told before is not held against this.
+            # It yielded and began again in one tick: the gate must not compare this burst with the one before.
             self._tellings = self.arbiter.output.begun
             self.gate.pause()
         variant = self.arbiter.output.variant
@@ -125,7 +125,7 @@ class CommandFlow:
         if fault is None:
             self.is_mute = False
             return frames
-        # In its place zero speed and the parking brake go out. If they are refused too, only the guard is left.
+        # Send zero speed and the parking brake instead. If the gate refuses these too, only the guard is left.
         instead = self.arbiter.engagement.refuse_output(
             f"{fault.can_id & 0x1FFF_FFFF:08X}: {fault.detail}", now_ns
         )

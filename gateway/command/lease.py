@@ -1,13 +1,13 @@
 """The lease, the link to its holder, and the age of the holder's commands. Pure.
 
-- ``Leases``: one operator at a time may command the robot, and has to renew. A lease has a public identifier here;
+- ``Leases``: one operator at a time may command the robot, and must renew. A lease has a public identifier here;
   its number is a secret (``gateway.command.restart``).
-- ``ChallengeLog``: the greatest age of a command, without clocks in common. Each published state carries random
-  bytes, and a command carries the newest that its sender had seen: it was made after those were published. This
-  tells a stalled link, a replay and a wrong clock from a command that is new.
+- ``ChallengeLog``: the greatest age of a command, without a common clock. Each published state carries random
+  bytes, and a command echoes the newest that its sender had seen, so it was made after they were published. This
+  distinguishes a new command from a stalled link, a replay and a wrong clock.
 - ``OperatorLink``: order, age and content of the holder's drive commands.
-- ``LinkAge``: the speed that this age allows. A robot that drives on what its operator saw a while ago covers some
-  metres before it can react; ``command.travel_delay_m`` bounds these metres, and so the speed.
+- ``LinkAge``: the speed that this age allows. The robot drives some metres before it can react to its operator;
+  ``command.travel_delay_m`` bounds these metres, and so the speed.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from schemas.settings import DEADMAN_MAX_S, CommandSettings
 
 _ID_BITS: Final = 48
 _ENDED_KEPT: Final = 16
-"""Leases whose end is remembered, so that a former holder learns the cause."""
+"""Ended leases that are remembered, so that a former holder learns the cause."""
 
 
 class HeldLease(msgspec.Struct, frozen=True):
     """The right of an operator to command.
 
     Attributes:
-        id: distinguishes it from every other lease of any run. Public.
+        id: public, unique across runs.
         expires_ns: monotonic time at which it ends unless it is renewed.
     """
 
@@ -45,15 +45,10 @@ class HeldLease(msgspec.Struct, frozen=True):
 
 
 class Leases:
-    """Gives, renews and ends leases; one at a time.
-
-    Attributes:
-        held: the one in force, or None.
-        given: number of leases given.
-    """
+    """Gives, renews and ends leases, one at a time."""
 
     def __init__(self, duration_ns: int, random: Random) -> None:
-        """No lease yet. Identifiers are no secret: the run can be run again."""
+        """Start without a lease. Identifiers are no secret, so a rerun can draw the same ones."""
         self.held: HeldLease | None = None
         self.given = 0
         self._duration_ns = duration_ns
@@ -62,21 +57,20 @@ class Leases:
 
     @property
     def ended(self) -> list[tuple[int, Reason]]:
-        """The leases that ended last, and why."""
         return list(self._ended)
 
     def restore(self, given: int, ended: list[tuple[int, Reason]]) -> None:
-        """Continue as after these leases were given and ended; nobody holds one."""
+        """Continue after this many leases; none is held."""
         for _ in range(given - self.given):
             self._next_id()
         self._ended.extend(ended)
 
     def acquire(self, operator: str, role: Role, now_ns: int) -> HeldLease | Reason:
-        """Give the lease, if nobody holds it."""
+        """Give the lease if it is free."""
         return Reason.LEASE_HELD if self.held is not None else self._give(operator, role, now_ns)
 
     def take(self, operator: str, role: Role, now_ns: int) -> HeldLease | Reason:
-        """Give the lease to someone of a higher or equal role than its holder's."""
+        """Give the lease to an operator whose role is at least that of its holder."""
         if self.held is not None:
             if role.rank < self.held.role.rank:
                 return Reason.ROLE_TOO_LOW
@@ -84,25 +78,24 @@ class Leases:
         return self._give(operator, role, now_ns)
 
     def refusal(self, lease_id: int, operator: str) -> Reason | None:
-        """Return why this lease of this operator is not the one in force, or None if it is."""
+        """Return why this operator's lease is not the one in force; None if it is."""
         lease = self.held
         if lease is not None and lease.id == lease_id and lease.operator == operator:
             return None
         return dict(self._ended).get(lease_id, Reason.NO_LEASE)
 
     def renew(self, now_ns: int) -> None:
-        """Renew the lease: its holder has sent a request."""
+        """Renew the lease, because its holder sent a request."""
         if self.held is not None:
             self.held = msgspec.structs.replace(self.held, expires_ns=now_ns + self._duration_ns)
 
     def end(self, reason: Reason) -> None:
-        """End the lease, if there is one."""
         if self.held is not None:
             self._ended.append((self.held.id, reason))
             self.held = None
 
     def expire(self, now_ns: int) -> HeldLease | None:
-        """End the lease if its time is over; returns it then."""
+        """End the lease if it has expired. Returns it then."""
         lease = self.held
         if lease is None or now_ns < lease.expires_ns:
             return None
@@ -119,11 +112,11 @@ class Leases:
 
 
 REMEMBERED_NS: Final = 4_000_000_000
-"""Challenges published longer ago are forgotten; a command that echoes one is too old for any setting."""
+"""Age at which challenges are forgotten: a command that echoes an older one is too old for any setting."""
 
 
 class ChallengeLog:
-    """The time at which each challenge was published."""
+    """The times at which challenges were published."""
 
     def __init__(self) -> None:
         self._published: deque[tuple[bytes, int]] = deque()
@@ -131,16 +124,13 @@ class ChallengeLog:
 
     @property
     def published(self) -> list[tuple[bytes, int]]:
-        """Those that are remembered, each with its time."""
         return list(self._published)
 
     def restore(self, published: list[tuple[bytes, int]]) -> None:
-        """Remember these, and no others."""
         self._published = deque(published)
         self._times_ns = dict(self._published)
 
     def publish(self, challenge: bytes, now_ns: int) -> None:
-        """Note that this challenge is published now."""
         self._published.append((challenge, now_ns))
         self._times_ns[challenge] = now_ns
         while now_ns - self._published[0][1] > REMEMBERED_NS:
@@ -153,38 +143,32 @@ class ChallengeLog:
 
 
 MEAN_NS: Final = 1_000_000_000
-"""The age that bounds the speed is at least the mean of so long: no deadman lasts longer."""
+"""The age that bounds the speed is at least the mean over this time: no deadman lasts longer."""
 
 LARGEST_NS: Final = 300_000_000
-"""And at least the largest of so long: a link that has just become slow is slow."""
+"""It is also at least the largest age in this time: a link that just became slow is slow."""
 
 QUANTILES_NS: Final = 10_000_000_000
-"""Time over which the median and the 99th percentile are taken."""
+"""Time over which median and 99th percentile are computed."""
 
 RANK_NS: Final = 200_000_000
-"""Period at which both are found anew: sorting takes time in the loop."""
+"""Period at which both are computed: sorting takes time in the loop."""
 
 KEPT: Final = 500
-"""Commands that they are taken of at most, 50 a second."""
+"""Most commands that they are computed from, 50 a second."""
 
 REFUSED_AS: Final = {
     Reason.TOO_OLD: "too old",
     Reason.CHALLENGE_UNKNOWN: "echoing an unknown challenge",
     Reason.SEQUENCE: "out of sequence",
 }
-"""Refusals that keep a stream of commands from holding off the deadman, in words."""
+"""Refusals for which a stream of commands does not prevent the deadman stop, in words."""
 
 _NS_PER_S: Final = 1_000_000_000
 
 
 class Ages(msgspec.Struct, frozen=True):
-    """Ages of the accepted commands, in seconds; None where there were none.
-
-    Attributes:
-        age_s: the age that bounds the speed, the camera's delay included.
-        last_s: of the last command.
-        p50_s, p99_s: of the last ten seconds.
-    """
+    """Ages of accepted commands, in seconds; None if there were none. ``age_s`` includes the camera's delay."""
 
     age_s: float | None = None
     last_s: float | None = None
@@ -193,12 +177,7 @@ class Ages(msgspec.Struct, frozen=True):
 
 
 class LinkAge:
-    """The link of one holder of the lease, as its commands show it.
-
-    Attributes:
-        deadman_ns: without an acceptable drive command for this long, an engaged robot is stopped.
-        accepted_seq: the sequence of the last accepted drive command; None before the first.
-    """
+    """The link of one lease holder, measured by its commands."""
 
     def __init__(self, settings: CommandSettings) -> None:
         self._travel_delay_m = settings.travel_delay_m
@@ -214,13 +193,12 @@ class LinkAge:
         self._refused: dict[Reason, tuple[int, int | None]] = {}
 
     def begin(self, deadman_s: float | None) -> None:
-        """Begin an engagement, with a longer deadman than the configured one if that is asked for."""
+        """Begin an engagement, with a longer deadman than the configured one if requested."""
         wanted_s = min(max(deadman_s or 0.0, self._configured_s), DEADMAN_MAX_S)
         self.deadman_ns = round(wanted_s * _NS_PER_S)
         self._refused.clear()
 
     def accept(self, seq: int, age_ns: int, now_ns: int) -> None:
-        """Note an accepted drive command."""
         self.accepted_seq = seq
         self._ages.append((now_ns, age_ns))
         self._recent.append((now_ns, age_ns))
@@ -228,13 +206,13 @@ class LinkAge:
         self._refused.clear()
 
     def refuse(self, reason: Reason, age_ns: int | None) -> None:
-        """Note a drive command that was refused; only what is wrong with the link counts."""
+        """Note a refused drive command; only refusals caused by the link count."""
         if reason in REFUSED_AS:
             count, _ = self._refused.get(reason, (0, None))
             self._refused[reason] = count + 1, age_ns
 
     def silence(self, silent_ns: int) -> str:
-        """Describe what came since the last accepted command: nothing, or what was refused and how old it was."""
+        """Describe the time since the last accepted command, with the refused commands and their age."""
         words = [f"none for {silent_ns / 1e6:.0f} ms"]
         for reason, (count, age_ns) in self._refused.items():
             commands = "1 command" if count == 1 else f"{count} commands"
@@ -243,7 +221,7 @@ class LinkAge:
         return "; ".join(words)
 
     def ages(self, now_ns: int) -> Ages:
-        """Return how old the commands were that were accepted lately."""
+        """Return the ages of the recently accepted commands."""
         if not self._ages or now_ns - self._ages[-1][0] > QUANTILES_NS:
             return Ages()
         age_ns = self._age_ns(now_ns)
@@ -254,31 +232,30 @@ class LinkAge:
         return Ages(None if age_ns is None else age_ns / 1e9, self._ages[-1][1] / 1e9, p50_s, p99_s)
 
     def _rank(self, now_ns: int) -> tuple[float | None, float | None]:
-        """The median and the 99th percentile."""
         ages_ns = sorted(age_ns for at_ns, age_ns in self._ages if now_ns - at_ns <= QUANTILES_NS)
         if not ages_ns:
             return None, None
         return ages_ns[(len(ages_ns) - 1) // 2] / 1e9, ages_ns[(len(ages_ns) - 1) * 99 // 100] / 1e9
 
     def speed_limit_mps(self, now_ns: int) -> float | None:
-        """Return the highest speed that the travel delay allows; None while no age is known."""
+        """Return the highest speed that the travel delay allows; None if the age is unknown."""
         delay_s = self.delay_s(now_ns)
         return None if delay_s is None else self._travel_delay_m / delay_s
 
     def delay_s(self, now_ns: int) -> float | None:
-        """Return the time from what the operator saw to the stop that follows a cut link; None if not known."""
+        """Return the time from what the operator saw to the stop after a cut link; None if unknown."""
         age_ns = self._age_ns(now_ns)
         return None if age_ns is None else (age_ns + self.deadman_ns) / 1e9
 
     def bounded(self, target: Target, fastest_mps: float, now_ns: int) -> Target:
-        """Return the target, or one as fast as the travel delay allows if no other limit is lower."""
+        """Return the target, slowed down to what the travel delay allows unless another limit is lower."""
         limit_mps = self.speed_limit_mps(now_ns)
         if limit_mps is None or min(abs(target.speed_mps), fastest_mps) <= limit_mps:
             return target
         return Target(copysign(limit_mps, target.speed_mps), target.angle_deg)
 
     def _age_ns(self, now_ns: int) -> int | None:
-        """The age of what the operator drives by; None where no command was accepted in the last second."""
+        """The age of what the operator sees; None if no command was accepted in the last second."""
         recent = self._recent
         while recent and now_ns - recent[0][0] > MEAN_NS:
             self._recent_sum_ns -= recent.popleft()[1]
@@ -290,15 +267,15 @@ class LinkAge:
 
 
 FIRST_SEQUENCE = -1
-"""Below the sequence of every drive command."""
+"""Below every sequence of a drive command."""
 
 
 class OperatorLink:
     """The drive commands of the lease's holder.
 
     Attributes:
-        last_sequence: of the last fresh drive command under the lease in force.
-        fresh_ns: arrival of the last drive command that the engaged robot executes, or its engagement, monotonic.
+        last_sequence: of the last fresh drive command of this lease.
+        fresh_ns: arrival of the last executed drive command, or time of engagement, monotonic.
     """
 
     def __init__(self, settings: CommandSettings) -> None:
@@ -308,22 +285,20 @@ class OperatorLink:
         self.begin_lease()
 
     def begin_lease(self) -> None:
-        """Forget the commands of the holder before."""
         self.age = self.unused_age()
         self.last_sequence = FIRST_SEQUENCE
         self._last_drive: tuple[float, int] | None = None
 
     def unused_age(self) -> LinkAge:
-        """The age of a link that carried no command."""
         return LinkAge(self._settings)
 
     def note_drive(self, sequence: int, speed_mps: float, now_ns: int) -> None:
-        """Note a fresh drive command of the holder, whether the robot executes it or not."""
+        """Note a fresh drive command, whether the robot executes it or not."""
         self.last_sequence = sequence
         self._last_drive = (speed_mps, now_ns)
 
     def wants_motion(self, now_ns: int) -> bool:
-        """A drive command that came lately is not zero."""
+        """A recent drive command has a speed."""
         if self._last_drive is None:
             return False
         speed_mps, at_ns = self._last_drive

@@ -1,8 +1,8 @@
 """The chassis over time: standstill, bumpers, faults of feedback, other commanders, plausible motion. Pure.
 
-``Plausibility`` holds speeds against the command and each other, direction, steering and the limit. A chassis
-whose firmware has the other scale moves 40 times as fast as commanded, or as slow; one on a slope moves without a
-command.
+``Plausibility`` compares the speeds with the command, with each other and with the limit, and checks direction and
+steering. With the wrong speed scale a chassis moves 40 times as fast or slow as commanded; on a slope it moves
+without a command.
 """
 
 from __future__ import annotations
@@ -59,24 +59,22 @@ from schemas.settings import (
 )
 
 _HAIR: Final = 1e-9
-"""So that a speed that is just on a bound is not below it by rounding."""
+"""Tolerance against rounding, for speeds exactly on a bound."""
 
 
 def exceeds(larger_mps: float, smaller_mps: float) -> bool:
-    """The one is over the other by more than the difference and the factor that are allowed."""
+    """The larger exceeds the smaller by more than the allowed difference and factor."""
     return larger_mps > smaller_mps + IMPLAUSIBLE_MPS and larger_mps > smaller_mps * IMPLAUSIBLE_RATIO
 
 
 def fits(one_mps: float, other_mps: float) -> bool:
-    """Neither is over the other."""
     return not exceeds(one_mps, other_mps) and not exceeds(other_mps, one_mps)
 
 
 def fitting_scale(drive_mps: float, wheel_mps: float, scale_ratio: float) -> str:
-    """Return the scale of the drive frames in which their speed fits that of the wheels, in words; or nothing."""
+    """Name the scale in which the drive frames would match the wheels; empty if they match, or none does."""
     if fits(drive_mps, wheel_mps):
         return ""
-    # A coarse bit that is taken for a fine one is worth so much less; and the other way round.
     for factor, words in ((scale_ratio, "the coarse scale"), (1 / scale_ratio, "the fine scale")):
         if fits(drive_mps * factor, wheel_mps):
             return f"; {words} of the drive frames would fit"
@@ -84,13 +82,12 @@ def fitting_scale(drive_mps: float, wheel_mps: float, scale_ratio: float) -> str
 
 
 class Envelope:
-    """The speeds and angles that the robot may still have by its commands: a chassis lags behind.
+    """The speeds and angles that the robot may have under its commands, with the lag of a slow chassis.
 
     Attributes:
         forward_mps, backward_mps: the highest speed each way.
-        lagging_mps: the speed of a chassis that follows the command with the longest lag, forward positive.
-        forward_rest_s, backward_rest_s: for how long no speed that way was commanded, and that has been a robot's
-            at rest; ``PULSES_REST_S`` at most.
+        lagging_mps: the speed of a chassis with the longest lag, forward positive.
+        forward_rest_s, backward_rest_s: time at rest without a command that way; at most ``PULSES_REST_S``.
         left_deg, right_deg: the furthest angles, left positive.
     """
 
@@ -102,7 +99,7 @@ class Envelope:
         self.left_deg = self.right_deg = angle_deg
 
     def follow(self, told: Actuation, elapsed_s: float) -> None:
-        """Advance the expected motion by the time since the last call, under this command."""
+        """Advance the envelope by the time since the last call, under this command."""
         forward_mps, backward_mps = max(told.signed_speed_mps, 0.0), max(-told.signed_speed_mps, 0.0)
         self.lagging_mps += (told.signed_speed_mps - self.lagging_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
         self.forward_mps = _fallen(self.forward_mps, forward_mps, elapsed_s)
@@ -114,24 +111,24 @@ class Envelope:
 
 
 def _fallen(before_mps: float, told_mps: float, elapsed_s: float) -> float:
-    """Return the speed that a slow chassis may still have, on its way down to the commanded one."""
+    """Return the speed that a slow chassis may still have while it slows down to the commanded one."""
     lag_mps = (before_mps - told_mps) * min(1.0, elapsed_s / DRIVE_LAG_S)
     return max(told_mps, before_mps - min(lag_mps, REFERENCE_DECELERATION_MPS2 * elapsed_s))
 
 
 def _turned(off_deg: float, elapsed_s: float) -> float:
-    """Return how far off slow wheels may still be, on their way to the commanded angle."""
+    """Return how far off slow wheels may still be while they turn to the commanded angle."""
     lag_deg = off_deg * min(1.0, elapsed_s / STEERING_LAG_S)
     return off_deg - min(lag_deg, STEERING_FOLLOWS_DEGPS * elapsed_s)
 
 
 def _rested(before_s: float, told_mps: float, speed_mps: float, elapsed_s: float) -> float:
-    """Return for how long it has been at rest, if it was for so long before. Told to creep, it never is."""
+    """Return the time at rest, given the time before. A robot commanded to creep is never at rest."""
     return 0.0 if told_mps or speed_mps >= STANDSTILL_MPS else min(before_s + elapsed_s, PULSES_REST_S)
 
 
 class Stillness:
-    """Notices speeds that stand still although the command, the pulses or the mileage do not."""
+    """Detects speeds that are frozen while the command, the pulses or the mileage change."""
 
     def __init__(self, lagging_mps: float) -> None:
         self._seen: tuple[float | None, ...] = ()
@@ -143,9 +140,9 @@ class Stillness:
         self._mileage_km: float | None = None
 
     def look(self, chassis: ChassisState, told: Actuation, lagging_mps: float, now_ns: int) -> None:
-        """Take in the chassis, its command and the command with its lag, at this tick."""
+        """Update with the chassis, its command and the lagging command of this tick."""
         seen = (chassis.speed_mps, chassis.wheel_speed_mps, chassis.fastest_wheel_mps)
-        # With the longest lag and with none: a chassis that follows at once is there before the lagging command.
+        # With the longest lag and with none, for a chassis that follows at once.
         commanded_mps = (told.signed_speed_mps, lagging_mps)
         if seen != self._seen:
             self._seen, self._since_ns = seen, now_ns
@@ -159,9 +156,9 @@ class Stillness:
             self._mileage_km = mileage_km
 
     def frozen(self, chassis: ChassisState, now_ns: int) -> str:
-        """Return what contradicts the speeds, in words; empty if nothing does."""
+        """Return what contradicts the speeds, in words; empty if nothing."""
         if chassis.reads_zero:
-            # At rest every reading is the same: only what else moves shows that they are frozen.
+            # At rest every reading is the same: only pulses or mileage show that the speeds are frozen.
             if self._commanded_mps <= FROZEN_STANDING_COMMAND_MPS:
                 return ""
             counted_km = (chassis.total_mileage_km or 0.0) - (self._mileage_km or 0.0)
@@ -182,19 +179,19 @@ class Plausibility:
     """Watches a robot that is being commanded.
 
     Attributes:
-        details: the contradictions, in words, by reason.
-        runs_away: the robot is faster than commanded, and becomes faster: its motor does not hold it.
+        details: the contradictions in words, by reason.
+        runs_away: the robot is faster than commanded, and accelerates: its motor does not hold it.
     """
 
     def __init__(self, chassis: Chassis) -> None:
         self._design = chassis
-        # How far it was driven since the mileage has changed outlasts an engagement.
+        # The way since the last change of the mileage survives an engagement.
         self._mileage_km: float | None = None
         self._driven_m = 0.0
         self.forget()
 
     def forget(self, speed_mps: float = 0.0, angle_deg: float = 0.0) -> None:
-        """Begin anew, with a robot that already has this signed speed and this angle."""
+        """Start again with a robot that has this signed speed and this angle."""
         self.details: dict[Reason, str] = {}
         self.runs_away = False
         self._envelope = Envelope(speed_mps, angle_deg)
@@ -207,7 +204,7 @@ class Plausibility:
     def check(
         self, chassis: ChassisState, told: Actuation, limit_mps: float, now_ns: int, *, is_engaged: bool = True
     ) -> list[Reason]:
-        """Return the reasons why the motion has been implausible for too long."""
+        """Return the reasons for which the motion has been implausible for too long."""
         elapsed_s = 0.0 if self._checked_ns is None else (now_ns - self._checked_ns) / 1e9
         self._checked_ns = now_ns
         self._envelope.follow(told, elapsed_s)
@@ -237,11 +234,10 @@ class Plausibility:
         return list(dict.fromkeys(lasting.values()))
 
     def rolling_ns(self, now_ns: int) -> int:
-        """Return for how long the robot has been rolling."""
         return now_ns - min(self._since_ns.get("rolls", now_ns), self._since_ns.get("creeps", now_ns))
 
     def _lasts(self, check: str, reason: Reason, detail: str, now_ns: int) -> int:
-        """For how long, in nanoseconds; -1 if it does not hold."""
+        """Return for how long the check has failed; -1 if it passes."""
         if not detail:
             self._since_ns.pop(check, None)
             return -1
@@ -251,7 +247,7 @@ class Plausibility:
     def _misfit(self, chassis: ChassisState) -> str:
         wheel_mps, drive_mps = chassis.wheel_speed_mps, chassis.speed_mps
         if wheel_mps is None or drive_mps is None:
-            return ""  # Missing feedback is a cause of its own.
+            return ""  # Missing feedback is a separate cause.
         envelope = self._envelope
         reference_mps = envelope.forward_mps if wheel_mps >= 0 else envelope.backward_mps
         way = "forward" if wheel_mps >= 0 else "backward"
@@ -265,7 +261,7 @@ class Plausibility:
         return ""
 
     def _rolling(self, chassis: ChassisState, told: Actuation, bound_mps: float) -> str:
-        """Moves a way that is not commanded, faster than the bound beyond what is left of a ramp."""
+        """Describe motion in a direction that is not commanded, beyond the bound and the rest of a ramp."""
         told_mps, wheels_mps = told.signed_speed_mps, chassis.wheel_speed_mps or 0.0
         envelope = self._envelope
         for sign, way, left_mps, rest_s in (
@@ -276,7 +272,7 @@ class Plausibility:
                 continue
             if wheels_mps * sign > left_mps + bound_mps:
                 return f"{way} at {abs(wheels_mps):.2f} m/s by the wheels"
-            # Before that, half of them may be of the ramp up and the other half of the ramp down, and seem steady.
+            # Before that, half of the pulses may be of the ramp up and half of the ramp down, and look steady.
             if chassis.pulses == sign and rest_s >= PULSES_REST_S:
                 return f"{way} by the wheel pulses"
             if chassis.creeps == sign and rest_s >= PULSES_REST_S:
@@ -287,7 +283,7 @@ class Plausibility:
         return ""
 
     def _overspeed(self, chassis: ChassisState, limit_mps: float) -> str:
-        """Over the limit; one that has just been lowered has to be reached first."""
+        """Describe a speed over the limit; a limit that was just lowered has to be reached first."""
         speeds = (chassis.speed_mps or 0.0, abs(chassis.wheel_speed_mps or 0.0))
         bound_mps = max(limit_mps, self._envelope.forward_mps, self._envelope.backward_mps)
         if max(speeds) < bound_mps + OVERSPEED_MPS - _HAIR:
@@ -295,7 +291,7 @@ class Plausibility:
         return f"{max(speeds):.2f} m/s, the limit is {limit_mps:.2f} m/s"
 
     def _runaway(self, chassis: ChassisState, now_ns: int) -> str:
-        """Faster than commanded, and becoming faster: no ramp and no limit explains that, a dead motor does."""
+        """Describe a speed above the command that still rises: no ramp explains that, only a dead motor."""
         speed_mps, speeds = chassis.fastest_mps or 0.0, self._speeds
         speeds.append((now_ns, speed_mps))
         while now_ns - speeds[0][0] > RUNAWAY_WINDOW_NS:
@@ -307,7 +303,7 @@ class Plausibility:
         return f"{speed_mps:.2f} m/s and rising, commanded {commanded_mps:.2f} m/s"
 
     def _not_moving(self, chassis: ChassisState, told: Actuation) -> str:
-        """Commanded to move for so long that it should, and seen to stand."""
+        """Describe a robot that stands although commanded to move for long enough."""
         commanded_mps, fastest_mps = min(told.speed_mps, abs(self._envelope.lagging_mps)), chassis.fastest_mps
         if fastest_mps is None or fastest_mps >= NOT_MOVING_MPS or commanded_mps <= NOT_MOVING_COMMAND_MPS:
             self._slowest_mps = inf
@@ -315,7 +311,7 @@ class Plausibility:
         if self._slowest_mps == inf:
             self._slowest_mps = fastest_mps
         elif fastest_mps > self._slowest_mps + GATHERING_MPS:
-            # Heavy, uphill: it gathers speed, and does not stand. Noise does so once.
+            # Heavy and uphill it gains speed slowly, so it does not stand. Noise does so once.
             self._slowest_mps = fastest_mps
             return ""
         return f"commanded {told.speed_mps:.2f} m/s, measured {fastest_mps:.2f} m/s"
@@ -329,12 +325,12 @@ class Plausibility:
         return f"off by {off_deg:.1f} deg, at {angle_deg:.1f} deg" if off_deg > STEERING_DEVIATION_DEG else ""
 
     def _count_way(self, chassis: ChassisState, elapsed_s: float) -> None:
-        """Count the way that the robot has driven, at the least, since the mileage has changed."""
+        """Add up the least way driven since the mileage changed."""
         if chassis.total_mileage_km != self._mileage_km or chassis.total_mileage_km is None:
             self._mileage_km = chassis.total_mileage_km
             self._driven_m = 0.0
         if not chassis.reads_zero:
-            # A noisy bit of a standing robot is no way.
+            # One noisy bit at standstill is no way.
             self._driven_m += chassis.slowest_mps * elapsed_s
 
 
@@ -342,12 +338,12 @@ class ChassisMonitor:
     """The arbiter's view of the chassis, updated each tick.
 
     Attributes:
-        stands: the robot was seen to stand for long enough. False also when that cannot be seen.
-        pressed: the bumpers that are pressed, or have not read clear for long enough.
-        struck: those that were clear, a tick before.
-        is_rest_confirmed: feedback has answered since a speed was last commanded: a speed that rose and fell, or a
-            parking brake that reads applied since it was asked for. Until then a speed of zero may be frozen.
-        send_failures: ticks in a row whose frames the bus did not take.
+        stands: the robot was seen to stand for long enough. False also if that cannot be seen.
+        pressed: bumpers that are pressed, or have not read clear for long enough.
+        struck: those of them that were clear a tick before.
+        is_rest_confirmed: since the last commanded speed, a measured speed rose and fell, or the parking brake
+            read applied after it was requested. Until then a speed of zero may be frozen.
+        send_failures: consecutive ticks whose frames the bus did not accept.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -369,12 +365,12 @@ class ChassisMonitor:
         self._pressed_ns: dict[Reason, int] = {}
 
     def update(self, chassis: ChassisState, now_ns: int, told: Actuation = AT_REST) -> None:
-        """Take in the chassis at this tick, and the command that it has."""
+        """Update with the chassis and its command at this tick."""
         is_fast = (chassis.fastest_mps or 0.0) >= STANDSTILL_MPS
         if told.speed_mps or is_fast or chassis.mode is Mode.REMOTE or self._driven_ns is None:
             self._driven_ns = now_ns
         if chassis.creeps and now_ns - self._driven_ns < CREEP_REST_NS:
-            # These may be the last centimetres of a robot that was driven slowly.
+            # These may be the last centimetres of a slow drive.
             chassis = msgspec.structs.replace(chassis, creeps=0)
         self.chassis = chassis
         self._slow_ticks = self._slow_ticks + 1 if chassis.is_slow else 0
@@ -386,12 +382,12 @@ class ChassisMonitor:
         before = self.pressed
         self.pressed = {b for b, pressed_ns in self._pressed_ns.items() if now_ns - pressed_ns < BUMPER_CLEAR_NS}
         self.struck = self.pressed - before
-        # A hit that was reset counts as a new one once the bumper has been clear.
+        # After a reset, a hit counts again once the bumper has been clear.
         if self._acknowledged:
             self._acknowledged &= self.pressed
 
     def rest(self, now_ns: int) -> str:
-        """Return whether the robot stands, in words."""
+        """Describe whether the robot stands."""
         chassis = self.chassis
         if chassis.is_slow and self.is_rest_confirmed:
             return "the robot stands"
@@ -421,27 +417,27 @@ class ChassisMonitor:
 
     @property
     def is_rest_answered(self) -> bool:
-        """Rest is confirmed, or only waits for speeds that answered the command to read slow for long enough."""
+        """Rest is confirmed, or the speeds have answered and only have to read slow for long enough."""
         return self.is_rest_confirmed or (self._has_risen and not self.stands)
 
     @property
     def hits(self) -> list[Reason]:
-        """The bumpers that are pressed and that nobody has acknowledged by a reset."""
+        """The pressed bumpers that no reset has acknowledged."""
         return (
             [bumper for bumper in BUMPERS if bumper in self.pressed - self._acknowledged] if self.pressed else []
         )
 
     def acknowledge(self, latched: Iterable[Reason]) -> None:
-        """A reset of these: from now on such a bumper, while pressed, forbids its direction and nothing more."""
+        """Note a reset: while pressed, these bumpers now only forbid their direction."""
         self._acknowledged |= self.pressed.intersection(latched)
 
     def is_commanded_by_other(self, now_ns: int) -> bool:
-        """Another computer's command frames are on the bus."""
+        """Another computer sends command frames on the bus."""
         received_ns = self.chassis.commander_ns
         return received_ns is not None and now_ns - received_ns < COMMANDER_NS
 
     def chassis_faults(self) -> list[Reason]:
-        """Return what speaks against commanding the chassis, but for its mode."""
+        """Return the faults that forbid commanding the chassis, apart from its mode."""
         chassis = self.chassis
         faults = (
             (Reason.BUS_OFF, chassis.controller is ControllerState.BUS_OFF),
@@ -455,11 +451,11 @@ class ChassisMonitor:
     def faults(
         self, told: Actuation, limit_mps: float, late_ns: int, now_ns: int, *, is_engaged: bool
     ) -> list[Reason]:
-        """Return the causes to stop a robot that has this command, under this speed limit."""
+        """Return the causes to stop a robot with this command and speed limit."""
         chassis = self.chassis
         found = self.chassis_faults()
         if chassis.absurd and not set(self._design.scaled_frames).isdisjoint(chassis.absurd):
-            # Read in the wrong scale a speed is 40 times too high: no other fault looks like it.
+            # In the wrong scale a speed reads 40 times too high, as in no other fault.
             found.insert(0, Reason.IMPLAUSIBLE_SPEED)
         found += self.plausibility.check(chassis, told, limit_mps, now_ns, is_engaged=is_engaged)
         if late_ns > LOOP_LATE_STOP_NS:
@@ -471,7 +467,7 @@ class ChassisMonitor:
         return found
 
     def fault_detail(self, reason: Reason, late_ns: int) -> str:
-        """Return the figures that a reason's own text does not have."""
+        """Return the figures that the reason's text lacks."""
         return {
             Reason.FEEDBACK_MISSING: ", ".join(self.chassis.missing),
             Reason.FEEDBACK_FAULTY: ", ".join([*self.chassis.faulty, *self.chassis.absurd]),
@@ -486,7 +482,7 @@ class ChassisMonitor:
         return f"{frames} reads beyond what the chassis can do" + (f"; {other} may fit" if other else "")
 
     def found_moving(self, now_ns: int) -> bool:
-        """The chassis moves, nobody commands it, the remote control neither, and that is no accident."""
+        """The chassis has moved for long enough without a commander."""
         adrift = self.chassis.mode is not Mode.REMOTE and not self.is_commanded_by_other(now_ns)
         if not adrift or not self.chassis.moves:
             self._moving_since_ns = None

@@ -1,9 +1,4 @@
-"""The limits of motion, the profile that keeps them, and the setpoint. Pure.
-
-- The limits in force, with the bicycle model that some follow from.
-- From a target to a command: every limit, and the way through standstill to reverse.
-- ``Setpoint``: the holder's request, and the limits in force.
-"""
+"""The limits of motion, the profile that applies them, and the setpoint. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from schemas.settings import AUTO_HOLD_NS, FOLLOWING_MPS, FOLLOWING_S, SHIFT_TIC
 
 
 class MotionLimits(msgspec.Struct, frozen=True):
-    """Limits of motion. They can be lowered at run time, never raised."""
+    """Limits of motion. At run time they can only be lowered."""
 
     speed_mps: float
     acceleration_mps2: float
@@ -32,7 +27,6 @@ class MotionLimits(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, settings: CommandSettings) -> Self:
-        """The configured limits."""
         return cls(
             speed_mps=settings.speed_limit_mps,
             acceleration_mps2=settings.acceleration_mps2,
@@ -44,7 +38,7 @@ class MotionLimits(msgspec.Struct, frozen=True):
         )
 
     def lowered(self, speed_mps: float | None) -> MotionLimits:
-        """The same with this speed limit, if it is a lower one."""
+        """The limits with this speed limit, if it is lower."""
         if speed_mps is None or speed_mps >= self.speed_mps:
             return self
         return msgspec.structs.replace(self, speed_mps=max(0.0, speed_mps))
@@ -57,16 +51,16 @@ class MotionLimits(msgspec.Struct, frozen=True):
         return min(self.speed_mps, sqrt(self.lateral_acceleration_mps2 * wheelbase_m / bend))
 
     def angle_at(self, speed_mps: float, wheelbase_m: float) -> float:
-        """Return the largest steering angle, deg, at this speed, by the same rule."""
+        """The largest steering angle, deg, at this speed, by the same rule."""
         square_m2ps2 = speed_mps * speed_mps
-        if square_m2ps2 == 0:  # also that of a speed too small to be squared
+        if square_m2ps2 == 0:  # also if the speed is too small to be squared
             return self.steering_deg
         bend = self.lateral_acceleration_mps2 * wheelbase_m / square_m2ps2
         return min(self.steering_deg, degrees(atan(bend)))
 
 
 def steering_angle_deg(drive: Drive, wheelbase_m: float) -> float | str:
-    """The steering angle that a drive command asks for, before any limit, or what is wrong with the command.
+    """The steering angle that a drive command requests, before any limit, or why the command is wrong.
 
     The bicycle model: curvature = tan(angle) / wheelbase, yaw rate = speed * curvature (ISO 8855: left positive).
     """
@@ -90,7 +84,7 @@ AUTO_HOLD_TICKS: Final = AUTO_HOLD_NS // TICK_NS
 
 
 class Target(msgspec.Struct, frozen=True):
-    """Speed and angle that a drive command asks for. Forward and left are positive."""
+    """Requested speed and angle. Forward and left are positive."""
 
     speed_mps: float = 0.0
     angle_deg: float = 0.0
@@ -100,10 +94,10 @@ class MotionConstraints(msgspec.Struct, frozen=True):
     """Bounds of the motion in a tick besides the limits.
 
     Attributes:
-        gear, brake: the feedback of gear and parking brake.
-        parked: the parking brake is to be applied, whatever is asked.
-        speed_mps, angle_deg: as measured, the speed the greatest that is seen, a magnitude; zero where not known.
-        forward, backward: motion in this direction is allowed; a bumper that is still pressed forbids it.
+        gear, brake: feedback of gear and parking brake.
+        parked: the parking brake must be applied, whatever is requested.
+        speed_mps, angle_deg: as measured; the speed is the greatest one, a magnitude. Zero if unknown.
+        forward, backward: motion in this direction is allowed; a pressed bumper forbids it.
     """
 
     wheelbase_m: float
@@ -118,7 +112,7 @@ class MotionConstraints(msgspec.Struct, frozen=True):
 
 
 class MotionProfile:
-    """The commands to the chassis, tick by tick, on the way to a target.
+    """The commands to the chassis, tick by tick, towards a target.
 
     The robot never stands in neutral unbraked: in gear the motor holds it, and the gear is changed behind the
     applied parking brake.
@@ -127,9 +121,9 @@ class MotionProfile:
         speed_mps: signed.
         angle_deg: left is positive.
         gear: neutral until the first gear is wanted.
-        held_ticks: ticks since the parking brake of a robot that stood by its motor read applied, 1 until it does;
-            0 if it did not stand so.
-        bounds: the limits that changed what was asked in the last tick.
+        held_ticks: ticks since the parking brake read applied on a robot that the motor held, 1 until it does;
+            0 if the motor did not hold it.
+        bounds: the limits that changed the request in the last tick.
     """
 
     def __init__(self, angle_deg: float = 0.0, gear: GearPosition = GearPosition.NEUTRAL) -> None:
@@ -143,7 +137,7 @@ class MotionProfile:
         self._gear_ticks = SHIFT_TICKS
 
     def __copy__(self) -> MotionProfile:
-        # Taken in every tick; copy's own way costs ten times as much.
+        # Copied in every tick; the default way takes ten times as long.
         other = object.__new__(MotionProfile)
         other.__dict__.update(self.__dict__)
         return other
@@ -156,7 +150,7 @@ class MotionProfile:
         dt_s: float,
         elapsed_s: float | None = None,
     ) -> Actuation:
-        """Return the command of this tick. The speed falls by the time that has passed, and rises by a tick."""
+        """Return the command of this tick. The speed falls by the elapsed time, and rises by one tick."""
         self.bounds = []
         angle_deg = self._within(target.angle_deg, limits.steering_deg, Bound.STEERING)
         speed_mps = self._wanted_speed(target.speed_mps, angle_deg, limits, constraints)
@@ -166,7 +160,7 @@ class MotionProfile:
         self.held_ticks += self.held_ticks > 0 and not is_awaited
         speed_mps = self._drive_off(speed_mps, constraints) if speed_mps else self._stand(constraints)
         self._step_speed(speed_mps, limits, constraints.speed_mps, dt_s, dt_s if elapsed_s is None else elapsed_s)
-        # While the speed is still on its way down to what the angle allows, the steering waits for it.
+        # The steering waits until the speed is as low as the angle requires.
         fastest_mps = max(abs(self.speed_mps), constraints.speed_mps)
         angle_deg = self._within(
             angle_deg, limits.angle_at(fastest_mps, constraints.wheelbase_m), Bound.LATERAL_ACCELERATION
@@ -183,7 +177,7 @@ class MotionProfile:
     def _wanted_speed(
         self, speed_mps: float, angle_deg: float, limits: MotionLimits, constraints: MotionConstraints
     ) -> float:
-        """The target speed within the limits that do not depend on the way there."""
+        """The target speed within the limits that do not depend on the ramp."""
         if (speed_mps > 0 and not constraints.forward) or (speed_mps < 0 and not constraints.backward):
             self._bound(Bound.BUMPER)
             return 0.0
@@ -191,23 +185,23 @@ class MotionProfile:
             self._bound(Bound.PARKING)
             return 0.0
         speed_mps = self._within(speed_mps, limits.speed_mps, Bound.SPEED)
-        # The wheels may still be turned further than they shall be.
+        # The wheels may still be turned further than requested.
         furthest_deg = max(abs(angle_deg), abs(self.angle_deg), abs(constraints.angle_deg))
         return self._within(
             speed_mps, limits.speed_at(furthest_deg, constraints.wheelbase_m), Bound.LATERAL_ACCELERATION
         )
 
     def _stand(self, constraints: MotionConstraints) -> float:
-        """Go to zero speed in gear; the parking brake follows when it is asked for, or the robot has stood."""
+        """Go to zero speed in gear; the parking brake follows if requested, or after a time at standstill."""
         if not self.parking and (constraints.parked or self._stood_ticks > AUTO_HOLD_TICKS):
-            # What follows waits until this brake is seen to hold.
+            # The next step waits until this brake is seen to hold.
             self.parking, self._gear_ticks, self.held_ticks = True, 0, int(constraints.stands)
         if self.parking:
             self.speed_mps = 0.0
         return 0.0
 
     def _drive_off(self, speed_mps: float, constraints: MotionConstraints) -> float:
-        """The speed to go to now: zero until the gear of that direction is in and the brake is released."""
+        """The speed to go to now: zero until the gear is engaged and the brake is released."""
         wanted = GearPosition.DRIVE if speed_mps > 0 else GearPosition.REVERSE
         if self.gear is not wanted:
             self._bound(Bound.GEAR if self.gear is GearPosition.NEUTRAL else Bound.REVERSAL)
@@ -218,7 +212,7 @@ class MotionProfile:
             self.parking = self._gear_ticks < SHIFT_TICKS
             return 0.0
         if constraints.stands:
-            # The brake held it until it was released.
+            # The brake held the robot until its release.
             self.held_ticks = 0
         if constraints.brake is not ParkingStatus.RELEASED:
             self._bound(Bound.PARKING)
@@ -229,12 +223,12 @@ class MotionProfile:
         return speed_mps
 
     def _shift(self, wanted: GearPosition, constraints: MotionConstraints) -> None:
-        """One step on the way to another gear: standstill, parking brake, neutral, gear."""
+        """One step of a gear change: standstill, parking brake, neutral, gear."""
         if not self.parking:
             self.parking = self.speed_mps == 0 and constraints.stands
             self._gear_ticks, self.held_ticks = 0, int(self.parking)
         elif constraints.brake is not ParkingStatus.APPLIED:
-            # One that is slow to apply has to be seen to hold, too.
+            # A slow brake must be seen to hold, too.
             self._gear_ticks = 0
         elif constraints.stands and self._gear_ticks >= SHIFT_TICKS:
             self.gear = wanted if self.gear is GearPosition.NEUTRAL else GearPosition.NEUTRAL
@@ -246,7 +240,7 @@ class MotionProfile:
         before_mps = self.speed_mps
         if abs(speed_mps) > abs(before_mps):
             bound, most_mps = Bound.ACCELERATION, limits.acceleration_mps2 * dt_s
-            # A robot that does not follow, for it is blocked or not seen, shall not leave at a high speed later.
+            # A blocked robot must not leave at a high speed once it comes free.
             ahead_mps = max(FOLLOWING_MPS, limits.acceleration_mps2 * FOLLOWING_S)
             room_mps = max(0.0, seen_mps + ahead_mps - abs(before_mps))
             if room_mps < most_mps:
@@ -283,9 +277,9 @@ class Setpoint:
     """The target of the motion, and its limits.
 
     Attributes:
-        target: the motion of the last acceptable drive command.
-        parked: the parking brake stays applied, whatever speed is asked for, until ``unpark``.
-        configured_limits: the highest that may be in force.
+        target: of the last accepted drive command.
+        parked: the parking brake stays applied until ``unpark``, whatever speed is requested.
+        configured_limits: the highest limits allowed.
     """
 
     def __init__(self, settings: CommandSettings) -> None:

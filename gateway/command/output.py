@@ -1,9 +1,9 @@
 """The command to the chassis in each tick: motion, stop, handover to the remote control. Pure.
 
-- ``Handover``: when our output has to cease, and which command remains active then.
-- ``inferred_actuation``: the command that a chassis must have had, by its feedback. A stop that we did not lead up
-  to begins there.
-- ``Output``: tick by tick; a step that the bus did not take is undone.
+- ``Handover``: when our output must end, and which command remains active then.
+- ``inferred_actuation``: the command that a chassis must have had, by its feedback: where the stop of a robot that
+  was found in motion begins.
+- ``Output``: tick by tick; a step that the bus did not accept is undone.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from schemas.settings import LEFT_BLIND_NS, STEERING_DEVIATION_DEG, TICK_NS, TOL
 
 
 def may_obey(chassis: ChassisState) -> bool:
-    """Return True if the chassis may be in auto with an old command, and nobody else stops it."""
+    """Return True if the chassis may be in auto with an old command, and the guard does not stop it."""
     return chassis.bus_up and chassis.mode in {Mode.AUTO, Mode.UNDEFINED} and not chassis.guard_sends
 
 
 def may_be_stopped(chassis: ChassisState) -> bool:
-    """Return True if a stop can be sent: the chassis may have an old command, or is in mode stop and not held."""
+    """Return True if a stop is to be sent: for an old command, or in mode stop without a brake."""
     is_loose = chassis.mode is Mode.STOP and (chassis.moves or chassis.brake is ParkingStatus.RELEASED)
     return may_obey(chassis) or (chassis.bus_up and is_loose and not chassis.guard_sends)
 
@@ -39,10 +39,10 @@ class Handover:
     """The handover of a chassis to others, and back.
 
     Attributes:
-        left: the command that the chassis had when it was left to somebody else, unless that has been ended since.
-            It may execute that again.
-        is_cut_off: our way to the bus was lost while the chassis was under command, and is not back. The chassis
-            keeps moving: only the guard, which has a way of its own, can stop it.
+        left: the command that the chassis had at the handover, which it may execute again; None once that is
+            ended.
+        is_cut_off: our connection to the bus was lost while the chassis was under command. It keeps moving: only
+            the guard, with its own connection, can stop it.
     """
 
     def __init__(self) -> None:
@@ -55,7 +55,7 @@ class Handover:
         self._bus_losses = self._guard_stops = 0
 
     def begin(self, chassis: ChassisState) -> None:
-        """Note that we command the chassis from here on."""
+        """Note that we command the chassis from now on."""
         self.left = None
         self._partings = 0
         self._was_auto = False
@@ -63,10 +63,10 @@ class Handover:
         self._guard_stops = chassis.guard_stops
 
     def reason_to_yield(self, chassis: ChassisState) -> Reason:
-        """Return why the output to the chassis has to cease now; NONE if it need not."""
+        """Return why the output must end now; NONE if it need not."""
         self._was_auto = self._was_auto or chassis.mode is Mode.AUTO
         if chassis.guard_sends or chassis.guard_stops != self._guard_stops:
-            # Also when it has ended by now: this process was stopped meanwhile, and what it knows is old.
+            # Even if that has ended: this process was paused meanwhile, and its view is old.
             return Reason.GUARD
         if not chassis.bus_up or chassis.bus_losses != self._bus_losses:
             return Reason.BUS_DOWN
@@ -85,7 +85,7 @@ class Handover:
         *,
         is_held_by_motor: bool = False,
     ) -> None:
-        """Note that our output ceases, for this reason; lamps and horn stay as they are in the chassis."""
+        """Note that our output ends for this reason; lamps and horn stay as they are in the chassis."""
         self.left = told
         self._is_held_by_motor = is_held_by_motor
         self._partings = YIELD_BURSTS if reason is Reason.HAND_TRANSMITTER and told.enabled else 0
@@ -93,32 +93,32 @@ class Handover:
         self.is_cut_off = reason is Reason.BUS_DOWN and not chassis.bus_up
 
     def part(self, chassis: ChassisState) -> Actuation | None:
-        """Return the next command that leaves no speed in a chassis which the remote control has; None at the end.
+        """Return the next zero-speed command to a chassis that the remote control took; None at the end.
 
-        The chassis keeps its last command, and executes it when the remote control gives it back.
+        The chassis would execute its last command when the remote control gives it back.
         """
         is_theirs = chassis.mode is Mode.REMOTE and chassis.bus_up and not chassis.guard_sends
         if not self._partings or self.left is None or not is_theirs:
             self._partings = 0
             return None
         self._partings -= 1
-        # Where the motor alone held it, the parking brake would let it roll once it is given back.
+        # If only the motor held it, it would roll with the parking brake once it is given back.
         parking = not self._is_held_by_motor
         return msgspec.structs.replace(self.left, speed_mps=0.0, parking=parking)
 
     def is_given_back(self, chassis: ChassisState) -> bool:
-        """Return True in the tick in which the remote control gives the chassis back. For each tick in standby."""
+        """Return True in the tick in which the remote control returns the chassis. Call each tick of standby."""
         was_remote = self._is_remote
         if chassis.mode is not Mode.UNDEFINED:
             self._is_remote = chassis.mode is Mode.REMOTE
         return was_remote and not self._is_remote
 
     def is_blind(self, chassis: ChassisState, now_ns: int) -> bool:
-        """Return True if the mode is unknown, and a body frame may still come: the bus has only just returned."""
+        """Return True if the mode is unknown because the bus has only just returned."""
         return chassis.mode is Mode.UNDEFINED and now_ns - self._left_ns < LEFT_BLIND_NS
 
     def is_obeyed_again(self, chassis: ChassisState, now_ns: int, *, is_taken: bool) -> bool:
-        """Return True if the chassis may execute the command it was left with. For each tick without output."""
+        """Return True if the chassis may execute the command it was left with. Call each tick without output."""
         if is_taken:
             self.left = None
         if not chassis.bus_up:
@@ -130,7 +130,7 @@ IN_GEAR = frozenset({GearPosition.DRIVE, GearPosition.REVERSE})
 
 
 def inferred_angle_deg(chassis: ChassisState, limits: MotionLimits) -> float:
-    """The steering angle, within the limit; straight on if it is not seen."""
+    """The measured steering angle within the limit; 0 if unknown."""
     return max(-limits.steering_deg, min(limits.steering_deg, chassis.angle_deg or 0.0))
 
 
@@ -139,12 +139,12 @@ def inferred_actuation(
 ) -> Actuation:
     """Infer the command that the chassis must have had, within the configured limits.
 
-    No speed is above the one of the command that we left it with. If others left it, the parking brake is applied
-    where the gear is that of a parked robot, or is not known: released, it may set a standing robot going.
+    The speed never exceeds that of the command that we left. If others left the chassis, the parking brake is
+    applied in gear park or an unknown gear, because its release could set a standing robot in motion.
     """
     rolls = chassis.gear in IN_GEAR
     angle_deg = inferred_angle_deg(chassis, limits)
-    # The feedback is off by a degree: what we told goes on where the wheels still are there.
+    # The feedback is off by a degree: keep the commanded angle if the wheels are still there.
     if left is not None and abs(left.angle_deg - angle_deg) <= STEERING_DEVIATION_DEG:
         angle_deg = left.angle_deg
     gear = GearPosition.NEUTRAL if left is None else left.gear
@@ -165,17 +165,16 @@ def inferred_actuation(
 _NS_PER_S: Final = 1_000_000_000
 _TICK_S: Final = TICK_NS / _NS_PER_S
 LATE_STEP_S: Final = 10 * _TICK_S
-"""After a pause the speed falls by no greater step than this allows."""
+"""Longest time by which the speed falls after a pause."""
 
 
 class Output:
     """The command that the chassis has.
 
     Attributes:
-        actuation: its last command; None while it is not commanded.
-        variant: the one in which speeds are encoded; UNKNOWN as soon as there was any doubt, until it is engaged
-            again.
-        begun: number of times that commanding it has begun.
+        actuation: None while it is not commanded.
+        variant: of the encoded speeds; UNKNOWN after any doubt, until the next engagement.
+        begun: how often commanding has begun.
         told_ns: when the bus last accepted a whole burst, monotonic.
     """
 
@@ -191,12 +190,12 @@ class Output:
 
     @property
     def stop_phase(self) -> StopPhase:
-        """The phase of the stop; IDLE if there is none."""
+        """IDLE if there is no stop."""
         return StopPhase.IDLE if self.sequence is None else self.sequence.phase
 
     @property
     def told(self) -> Actuation:
-        """The chassis's command as its frames say it: at rest if there is none, and down to the bit."""
+        """The command as in the frames, rounded down to the bit; at rest if there is none."""
         actuation = self.actuation or AT_REST
         bit_mps = self._design.speed_bit_mps.get(self.variant)
         if bit_mps is None or not actuation.speed_mps:
@@ -204,25 +203,24 @@ class Output:
         return msgspec.structs.replace(actuation, speed_mps=toward_zero(actuation.speed_mps, bit_mps))
 
     def begin(self, variant: Variant) -> None:
-        """Begin to command the chassis, in the scale of this variant."""
         self.variant = variant
         self.begun += 1
 
     def cease(self) -> None:
-        """Cease commanding. From here on the measured speed counts, not the commanded one."""
+        """End commanding. From now on the measured speed counts, not the commanded one."""
         self.actuation = None
         self.sequence = None
 
     def begin_step(self) -> None:
-        """Take the next step on a copy: it is undone if the bus does not accept the burst."""
+        """Prepare a step on copies, so that it can be undone if the bus does not accept the burst."""
         self._before = (self.motion, self.sequence, self.actuation)
         self.motion, self.sequence = copy(self.motion), copy(self.sequence)
 
     def undo_step(self, *, is_speed_told: bool = False) -> None:
-        """Undo the step of this tick: the bus did not accept its burst, or only a part.
+        """Undo the step of this tick, because the bus did not accept the whole burst.
 
-        Otherwise the chassis's next command would be several steps from its last one; or a stop that it never
-        received would proceed to neutral. A ramp whose speed frame was accepted continues all the same.
+        Otherwise the next command would be several steps from the last one, or a stop that the chassis never
+        received would proceed to neutral. A ramp whose speed frame was accepted continues.
         """
         told, stepped = self.actuation, self.sequence
         self.motion, self.sequence, self.actuation = self._before
@@ -230,14 +228,14 @@ class Output:
             self.sequence = stepped.after_part(self.sequence, told.speed_mps)
 
     def replace_step(self, actuation: Actuation) -> None:
-        """Command this instead. If the bus does not accept it either, the stop that has begun is still due."""
+        """Command this instead. If the bus does not accept it either, the stop remains due."""
         self._before = (self.motion, self.sequence, self._before[2])
         self.actuation = actuation
 
     def step_motion(
         self, target: Target, setpoint: Setpoint, age: LinkAge, monitor: ChassisMonitor, now_ns: int
     ) -> Actuation:
-        """Return this tick's command to a chassis that is not being stopped."""
+        """Return this tick's command outside of a stop."""
         chassis, pressed = monitor.chassis, monitor.pressed
         constraints = MotionConstraints(
             wheelbase_m=self._design.wheelbase_m,
@@ -253,7 +251,7 @@ class Output:
         limits = setpoint.limits
         bounded = age.bounded(target, limits.speed_mps, now_ns)
         if abs(bounded.speed_mps) < self._design.speed_bit_mps.get(self.variant, 0.0):
-            # On the wire that is zero: the robot is told to stand, and is held.
+            # In the frame that is zero: treat it as a command to stand.
             bounded = Target(0.0, bounded.angle_deg)
         elapsed_s = min(max((now_ns - self.told_ns) / _NS_PER_S, _TICK_S), LATE_STEP_S)
         actuation = self.motion.tick(bounded, limits, constraints, _TICK_S, elapsed_s)
@@ -264,9 +262,9 @@ class Output:
     def step_stop(
         self, sequence: StopSequence, monitor: ChassisMonitor, now_ns: int, late_ns: int
     ) -> Actuation | None:
-        """Return this tick's command to a chassis that is being stopped; None when the stop has ended."""
+        """Return this tick's command of a stop; None when the stop has ended."""
         if max(now_ns - self.told_ns, late_ns) > TOLD_LONG_AGO_NS:
-            # Held up by a pause or by the bus: the robot may have been brought to rest meanwhile.
+            # After a pause of the loop or the bus the robot may have come to rest.
             sequence.not_above(monitor.chassis.slowest_mps)
         return sequence.tick(now_ns, _stop_feedback(monitor))
 
@@ -274,7 +272,7 @@ class Output:
 def _stop_feedback(monitor: ChassisMonitor) -> StopFeedback:
     chassis = monitor.chassis
     is_braked = chassis.brake is ParkingStatus.APPLIED
-    # In mode stop the chassis need not heed the request, and a brake that is not seen proves nothing.
+    # In mode stop the chassis may ignore the request, and a brake without feedback proves nothing.
     is_open = chassis.brake is ParkingStatus.UNDEFINED or chassis.mode is not Mode.AUTO
     return StopFeedback(
         stands=monitor.stands,

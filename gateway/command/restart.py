@@ -1,11 +1,11 @@
-"""State that survives a restart or a gap, and leases by public numbers. Pure.
+"""State that survives a restart or a gap, and the secret numbers of leases. Pure.
 
-- Snapshots of a gateway at rest, from which its journal can be run again: the robot stands, nobody holds the
-  lease, nothing is latched. All but a few numbers is in the feedback of the last seconds; those numbers are here.
-- What a gateway begins with when it starts again: in standby, with all that was latched. A restart clears no
-  latch. Earlier logs have more in it: a stop that was owed, lamps and horn.
-- The numbers of leases, a secret between holder and robot. The loop puts identifiers for numbers into each request
-  before the core gets it, and numbers for identifiers into each reply, so the journal gives nobody a lease.
+- ``Snapshot``: a gateway at rest, from which its journal can be run again. The robot stands, no operator holds the
+  lease, nothing is latched; all but these few values is in the feedback of the last seconds.
+- ``Carried``: the state after a restart: standby, with all latches. Earlier logs also have an owed stop, lamps and
+  horn.
+- ``LeaseNumbers``: a lease's number is a secret between holder and robot. The loop replaces numbers by identifiers
+  in each request, and back in each reply, so the journal gives no one a lease.
 """
 
 from __future__ import annotations
@@ -29,23 +29,20 @@ from schemas.settings import REQUEST_MAX_BYTES
 from schemas.subjects import BY_VERB, STOP_VERB
 
 QUIET_NS: Final = 5_000_000_000
-"""The time without a request or a command after which a snapshot may be taken."""
+"""Time without a request or a command before a snapshot."""
 
 
 class Snapshot(msgspec.Struct, frozen=True, array_like=True):
-    """The few numbers. In the journal it is an array, in this order.
+    """The state of a gateway at rest. An array in the journal, in this order.
 
     Attributes:
-        tick_number: of the last tick.
-        challenges: those that were published lately, each with its monotonic time.
+        challenges: recently published, each with its monotonic time.
         leases: number of leases given in this run.
-        ended: the leases that ended last, and why.
-        stop_reason, stop_detail: why the last stop was begun, and its figures.
-        parked, target_speed_mps, target_angle_deg: the last requested ones.
-        sequences: the next sequence of each message of the arbiter, by the class's name.
+        ended: the last ended leases, with the reason.
+        sequences: the next sequence of each message, by class name.
         state_due_ns: when the next safety/state is due, monotonic.
-        sent: the last alive counter of each command frame that was ever sent, by identifier.
-        bars: why nobody may engage the robot, each reason with its words; left out if there is none.
+        sent: the last alive counter of each command frame, by identifier.
+        bars: reasons against engaging, each with its words; left out if there is none.
     """
 
     tick_number: int
@@ -64,7 +61,7 @@ class Snapshot(msgspec.Struct, frozen=True, array_like=True):
 
 
 def _is_idle(flow: CommandFlow) -> bool:
-    """The robot stands, nobody holds the lease, and no stop is due or can become due."""
+    """The robot stands, no operator holds the lease, and no stop is due or can become due."""
     arbiter = flow.arbiter
     return (
         arbiter.state is ArbiterState.STANDBY
@@ -78,7 +75,7 @@ def _is_idle(flow: CommandFlow) -> bool:
 
 
 def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
-    """True if nothing is under way, and ``snapshot`` holds all that remains of what was."""
+    """Return True if ``snapshot`` holds the whole state."""
     arbiter = flow.arbiter
     return (
         _is_idle(flow)
@@ -92,7 +89,6 @@ def is_at_rest(flow: CommandFlow, now_ns: int) -> bool:
 
 
 def snapshot(flow: CommandFlow) -> Snapshot:
-    """Return the snapshot of a gateway at rest."""
     arbiter = flow.arbiter
     return Snapshot(
         tick_number=arbiter.tick_number,
@@ -112,13 +108,13 @@ def snapshot(flow: CommandFlow) -> Snapshot:
 
 
 def as_array(kept: Snapshot) -> tuple[object, ...]:
-    """The snapshot as the journal holds it; as before there were bars, if there are none."""
+    """Return the snapshot for the journal; without ``bars`` if there are none."""
     values = msgspec.structs.astuple(kept)
     return values if kept.bars else values[:-1]
 
 
 def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
-    """Make a new flow, which has seen the feedback of the last seconds, the one of the snapshot."""
+    """Restore a snapshot in a new flow that has seen the feedback of the last seconds."""
     arbiter = flow.arbiter
     arbiter.tick_number = kept.tick_number
     arbiter.link.challenges.restore(kept.challenges)
@@ -133,13 +129,11 @@ def restore(flow: CommandFlow, kept: Snapshot, now_ns: int) -> None:
 
 
 class Carried(msgspec.Struct, frozen=True, array_like=True):
-    """All of a standing robot's past that a new arbiter cannot see on the chassis. In the journal it is an array.
+    """State of a standing robot that a new arbiter cannot see on the chassis. An array in the journal.
 
     Attributes:
-        latched: the causes that nobody has reset, oldest first, each with its detail.
-        stop_reason, stop_detail: why the last stop was begun, and its figures.
-        owes_stop: a stop could not be carried out, or ended without an applied parking brake.
-        lamps, horn: the lamps and the horn as the chassis was left with them.
+        latched: oldest first, each with its detail.
+        lamps, horn: as the chassis was left with them.
     """
 
     latched: dict[str, str] = {}
@@ -151,23 +145,23 @@ class Carried(msgspec.Struct, frozen=True, array_like=True):
 
     @property
     def words(self) -> str:
-        """The latched causes, each with its detail; empty if there is none."""
+        """The latched causes in words; empty if there is none."""
         return "; ".join(f"{reason} ({detail})" if detail else reason for reason, detail in self.latched.items())
 
 
 def may_start_again(flow: CommandFlow, now_ns: int) -> bool:
-    """Return True if the gateway may be away for some seconds, and the note of latches is all that it must know.
+    """Return True if the gateway may be away for some seconds, with the note of latches as its only memory.
 
-    The robot stands, nobody holds the lease, nothing is sent, and nobody asked anything lately. That something is
-    latched, or the robot cannot be engaged, is no objection: renewed files may be the cure. Where the chassis may
-    yet execute a command that was left to it, a stop is owed, or the horn was left on, the gateway stays.
-    Events are no objection either: on a busy computer the loop is late, and says so, again and again.
+    The robot stands, no operator holds the lease, nothing is sent, and there was no recent request. Latches and
+    bars do not prevent it, because renewed files may be the cure; nor do events, which a busy computer makes all
+    the time. If the chassis may still execute an old command, a stop is owed, or the horn is on, the gateway
+    stays.
     """
     return _is_idle(flow) and now_ns - flow.asked_ns >= QUIET_NS and not flow.arbiter.auxiliary.is_sounding
 
 
 def take_over(arbiter: Arbiter, former: Carried, now_ns: int) -> None:
-    """Begin where the gateway before this one ended."""
+    """Continue from the state of the previous gateway."""
     engagement = arbiter.engagement
     for reason, detail in former.latched.items():
         engagement.latch(Reason(reason), detail, now_ns)
@@ -177,24 +171,24 @@ def take_over(arbiter: Arbiter, former: Carried, now_ns: int) -> None:
 
 
 UNKNOWN_LEASE: Final = 0
-"""The identifier of no lease, for a number that was not given."""
+"""Identifier for a number that was not given."""
 
 _KEPT: Final = 32
-"""More than the leases whose end the arbiter remembers: their holders are told how they lost them."""
+"""More than the ended leases that the arbiter remembers, so that their holders learn the cause."""
 
 
 class LeaseNumbers:
     """The number of each lease that was given."""
 
     def __init__(self, draw: Callable[[], int]) -> None:
-        """No lease yet. A draw is a random number from 1 to ``LEASE_MAX`` that nobody can foretell."""
+        """Start without leases. ``draw`` returns an unpredictable number from 1 to ``LEASE_MAX``."""
         self._draw = draw
         self._ids: dict[int, int] = {}
 
     def admit(self, raw: RawRequest, _now_ns: int = 0) -> RawRequest:
-        """The request as the core may know it, and the journal may keep it.
+        """Return the request for core and journal, without any lease number.
 
-        What the core needs not read, and what cannot be read, is left out: a number could be anywhere in it.
+        Parts that the core does not read, or that cannot be read, are removed: a number could be anywhere in them.
         """
         raw = msgspec.structs.replace(raw, attachment=b"") if raw.attachment else raw
         command = BY_VERB.get(raw.verb)
@@ -208,7 +202,7 @@ class LeaseNumbers:
         return msgspec.structs.replace(raw, payload=_ENCODER.encode(request))
 
     def reply(self, reply: PendingReply) -> PendingReply:
-        """The reply as its receiver gets it: the lease that it gives by its number, which is drawn here."""
+        """Return the reply for its receiver, with the lease's number, drawn here, in place of its identifier."""
         command = BY_VERB.get(reply.verb)
         if command is None or command.reply is not LeaseReply:
             return reply
@@ -225,7 +219,7 @@ class LeaseNumbers:
         return msgspec.structs.replace(reply, payload=payload)
 
     def number_of(self, lease_id: int) -> int:
-        """The number of a lease that was given; 0, which is no lease's, for any other."""
+        """Return the number of a lease; 0 if it was not given."""
         return next((number for number, known in self._ids.items() if known == lease_id), 0)
 
 

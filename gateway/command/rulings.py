@@ -1,12 +1,4 @@
-"""Requests and their rulings: states, causes of stops, latches, and the outcome of a tick. Pure.
-
-- ``RawRequest`` and ``Ruling``: a request as received, and the answer to it.
-- The arbiter's states, and what leads from one to another: one table, which the documents' diagram is made of.
-- ``STOPS``: the causes to stop the robot, one row each.
-- ``Latches``: causes that keep the robot from being engaged until a reset.
-- ``Outbox``: replies and events of a tick, until they are taken; ``TickOutcome``.
-- ``Notices``: events that stop nothing, such as a late loop or another computer's commands.
-"""
+"""Requests and their rulings: states, causes of stops, latches, and the outcome of a tick. Pure."""
 
 from __future__ import annotations
 
@@ -26,13 +18,13 @@ from schemas.settings import COMMANDER_QUIET_NS, LATE_NS, LATE_TOLD_NS
 
 
 class Credentials(msgspec.Struct, frozen=True, array_like=True):
-    """The proven facts about a request's sender, as the arbiter gets them. In the journal it is an array.
+    """The proven facts about a request's sender. An array in the journal.
 
     Attributes:
-        reason: NONE if the proof holds; else why it does not, and all below is empty.
-        detail: figures that the reason's own text does not have.
-        serial: the grant's, for people.
-        role, override, speed_limit_mps: those that the grant allows.
+        reason: NONE if the proof is valid; otherwise all below is empty.
+        detail: figures that the reason's text lacks.
+        serial: of the grant, for people.
+        role, override, speed_limit_mps: what the grant allows.
     """
 
     reason: Reason
@@ -47,14 +39,14 @@ class RawRequest(msgspec.Struct, frozen=True):
     """A request, untrusted.
 
     Attributes:
-        handle: to whom the reply goes, a number of the port's; 0 for a put, which has no reply.
+        handle: number by which the port finds the receiver of the reply; 0 for a put, which has no reply.
         verb: the last chunk of the key.
-        operator: the chunk before it; empty if it is not of the form of an operator's name.
-        payload: the bytes, or nothing if there are more of them than any request has.
-        size: number of bytes of the whole payload.
-        fault: why the payload cannot be read, where that was found before the core got it; it is left out then.
-        attachment: the bytes that came beside the payload; see ``schemas.authority.proof``.
-        credentials: the proven ones; None where no proof is needed.
+        operator: the chunk before it; empty if it is no valid name.
+        payload: empty if it is longer than any request.
+        size: of the whole payload, in bytes.
+        fault: why the payload cannot be read, if that was found before the core; the payload is empty then.
+        attachment: see ``schemas.authority.proof``.
+        credentials: None where no proof is needed.
     """
 
     handle: int
@@ -68,7 +60,6 @@ class RawRequest(msgspec.Struct, frozen=True):
 
     @property
     def is_query(self) -> bool:
-        """Somebody waits for a reply."""
         return self.handle != 0
 
 
@@ -77,13 +68,13 @@ class Ruling(msgspec.Struct, frozen=True):
 
     Attributes:
         reason: NONE if it was accepted.
-        detail: figures that the reason's own text does not have.
-        is_pending: accepted; the reply comes later, with the result.
-        lease: the identifier of what the request names, or of what was given.
+        detail: figures that the reason's text lacks.
+        is_pending: accepted; the reply follows with the result.
+        lease: identifier of the lease that the request names or was given.
         expires_ns: the remaining duration of the lease.
-        sequence, asked: a drive command's.
-        cure: what would cure it at this moment; empty if it is the reason's.
-        age_ns: the greatest age that it can have, where it echoes a known challenge.
+        sequence, asked: of a drive command.
+        cure: in place of the reason's cure, if not empty.
+        age_ns: the greatest possible age, if it echoes a known challenge.
     """
 
     reason: Reason = Reason.NONE
@@ -111,7 +102,7 @@ class Judged(msgspec.Struct, frozen=True):
 
 
 class VerbAnswer(msgspec.Struct, frozen=True):
-    """A ruling that goes back to who waits for it."""
+    """A ruling to send back as a reply."""
 
     handle: int
     verb: str
@@ -119,7 +110,7 @@ class VerbAnswer(msgspec.Struct, frozen=True):
 
 
 class Trigger(Enum):
-    """Events that change the state, in words."""
+    """Triggers of state changes, in words."""
 
     ENGAGE = "engage is accepted"
     CONFIRMED = "the chassis reads auto"
@@ -143,8 +134,8 @@ TRANSITIONS: Final[dict[tuple[ArbiterState, Trigger], ArbiterState]] = {
     (_STOPPING, Trigger.YIELD): _STANDBY,
     (_STOPPING, Trigger.REST): _STANDBY,
 }
-"""No other transition happens. Only ENGAGE leads out of standby to motion, and nothing but a request
-of the lease's holder triggers it: nothing resumes by itself."""
+"""There are no other transitions. Only ENGAGE leads from standby to motion, and only a request of the lease's
+holder triggers it: motion never resumes automatically."""
 
 
 def diagram() -> str:
@@ -161,11 +152,11 @@ class StopRule(msgspec.Struct, frozen=True):
     """The rule by which a cause stops the robot.
 
     Attributes:
-        at_once: with the emergency deceleration; else with the normal one.
+        at_once: with the emergency deceleration, not the normal one.
         latched: the robot cannot be engaged again before a reset.
-        ramps: the commanded speed goes to zero by that deceleration. Where its scale is in doubt it is zero at
-            once: a ramp in the wrong scale would ask for 40 times the speed.
-        parks: the parking brake is applied at once, at whatever speed.
+        ramps: the commanded speed ramps down. If its scale is in doubt it is zero at once, because a ramp in the
+            wrong scale would command 40 times the speed.
+        parks: the parking brake is applied at once, at any speed.
     """
 
     at_once: bool
@@ -209,13 +200,13 @@ STOPS: Final[dict[Reason, StopRule]] = {
     Reason.FOUND_MOVING: StopRule(at_once=False),
     Reason.SHUTDOWN: StopRule(at_once=False),
 }
-"""Every cause to stop, the gravest first."""
+"""Every cause to stop, the most severe first."""
 
 BUMPERS: Final = (Reason.FRONT_BUMPER, Reason.REAR_BUMPER)
 
 
 class Event(msgspec.Struct, frozen=True):
-    """An event for people; becomes a SafetyEvent."""
+    """The contents of a SafetyEvent."""
 
     severity: Severity
     kind: EventKind
@@ -229,7 +220,7 @@ class TickOutcome(msgspec.Struct, frozen=True):
 
     Attributes:
         actuation: the five motion frames; None for silence.
-        auxiliary: lamps, horn and odometer, only ever together with the five.
+        auxiliary: lamps, horn and odometer; sent only together with the five.
     """
 
     actuation: Actuation | None
@@ -240,10 +231,10 @@ class TickOutcome(msgspec.Struct, frozen=True):
 
 
 NAMED: Final = 4
-"""Names of those who stopped a robot that are kept at most."""
+"""Most names of operators who stopped a robot."""
 
 OTHERS: Final = "others"
-"""In place of the names beyond those."""
+"""Stands for all further names."""
 
 _BY: Final = "by "
 _AND: Final = ", "
@@ -253,9 +244,9 @@ class Latches:
     """Latched causes.
 
     Attributes:
-        details: the latched causes, oldest first, each with its detail. That of a remote stop is who sent one,
-            the newest first.
-        newest_ns: when the newest of it was latched, monotonic.
+        details: the latched causes, oldest first, each with its detail. The detail of a remote stop is the names
+            of its senders, newest first.
+        newest_ns: time of the newest latch, monotonic.
     """
 
     def __init__(self) -> None:
@@ -263,10 +254,9 @@ class Latches:
         self.newest_ns = 0
 
     def add(self, reason: Reason, detail: str, now_ns: int, *, is_new_hit: bool) -> bool:
-        """Latch a cause. Returns whether it was not latched before.
+        """Latch a cause. Returns True if it was not latched before.
 
-        The first detail is kept, and of a remote stop the names of all times. A reset that was on its way is not
-        meant for a new hit.
+        The first detail stays, and all senders of remote stops. A new hit invalidates a reset sent before it.
         """
         is_new = reason not in self.details
         if is_new:
@@ -279,11 +269,11 @@ class Latches:
 
     @property
     def stopped_by(self) -> list[str]:
-        """The names of those whose remote stops are latched, the newest first; after four of them "others"."""
+        """Operators whose remote stops are latched, newest first; after four of them "others"."""
         return _names(self.details.get(Reason.REMOTE_STOP, ""))
 
     def withdraw(self, detail: str) -> bool:
-        """Take this name from among those who stopped it, unless it is the only one; True if it was there."""
+        """Remove this name from the senders of stops, unless it is the only one. Returns True if it was there."""
         left = [name for name in self.stopped_by if name not in _names(detail)]
         is_there = 0 < len(left) < len(self.stopped_by)
         if is_there:
@@ -296,7 +286,7 @@ class Latches:
 
     @property
     def newest(self) -> Reason:
-        """The cause that was latched last; for where anything is."""
+        """The cause latched last. There must be one."""
         return [*self.details][-1]
 
 
@@ -305,7 +295,7 @@ def _names(detail: str) -> list[str]:
 
 
 class Outbox:
-    """Answers to whom waits for one, and events for people."""
+    """Replies and events that are due."""
 
     def __init__(self) -> None:
         self._pending: dict[str, int] = {}
@@ -313,7 +303,7 @@ class Outbox:
         self._events: list[Event] = []
 
     def take(self) -> tuple[list[VerbAnswer], list[Event]]:
-        """Return what is due, and keep only the requests that are still to be answered."""
+        """Return what is due. Requests without a ruling stay pending."""
         due = self._answers, self._events
         self._answers, self._events = [], []
         return due
@@ -321,28 +311,26 @@ class Outbox:
     def add_event(
         self, severity: Severity, kind: EventKind, reason: Reason, text: str, operator: str = ""
     ) -> None:
-        """Report to people."""
         self._events.append(Event(severity, kind, reason, text, operator))
 
     def add_events(self, events: Iterable[Event]) -> None:
-        """Report these to people."""
         self._events += events
 
     def answer(self, request: RawRequest, ruling: Ruling) -> None:
-        """Answer a query, now or, if its ruling is pending, by ``settle``."""
+        """Answer a query now; if its ruling is pending, ``settle`` does it later."""
         if ruling.is_pending:
             self._pending[request.verb] = request.handle
         elif request.is_query:
             self._answers.append(VerbAnswer(request.handle, request.verb, ruling))
 
     def settle(self, verb: str, ruling: Ruling) -> None:
-        """Answer the pending request of this verb, if there is one."""
+        """Answer the pending request of this verb, if any."""
         handle = self._pending.pop(verb, None)
         if handle is not None:
             self._answers.append(VerbAnswer(handle, verb, ruling))
 
     def refuse_pending(self, reason: Reason, detail: str) -> None:
-        """Answer all pending requests: what they asked for has failed."""
+        """Refuse all pending requests."""
         for verb in list(self._pending):
             self.settle(verb, Ruling(reason, detail))
 
@@ -355,7 +343,7 @@ _GRAVITY = {
 
 
 class Notices:
-    """Compares the chassis with the tick before, and reports changes as events."""
+    """Reports changes of the chassis since the last tick as events."""
 
     def __init__(self) -> None:
         self._late_told_ns = -LATE_TOLD_NS
@@ -365,7 +353,7 @@ class Notices:
         self._commander_ns: int | None = None
 
     def look(self, chassis: ChassisState, now_ns: int, late_ns: int, *, is_idle: bool = False) -> Iterator[Event]:
-        """Yield what is new at this tick, which began so late. Of a robot that is idle a late one is no fault."""
+        """Yield the news of this tick. A late tick of an idle robot is no fault."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
             severity = Severity.INFO if is_idle else Severity.WARNING

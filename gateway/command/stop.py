@@ -1,9 +1,9 @@
-"""The stop sequence: it brings a robot under command to rest, and then ceases commanding it.
+"""The stop sequence: it brings a robot under command to rest, then ends commanding it.
 
-The speed falls to zero in gear, for the motor is the only service brake that the manual promises. The parking
-brake follows as soon as the robot stands, or does not slow down as it should. The gear stays in while it holds,
-for neutral frees the motor, and the brake's feedback may be wrong. Then disabled frames, silence. The arbiter uses
-this sequence; so does the guard when there is no arbiter any more.
+The speed falls to zero in gear, because the motor is the only service brake that the manual promises. The parking
+brake follows once the robot stands, or if it does not slow down as it should. The gear stays engaged while the
+brake holds, because neutral frees the motor, and the brake's feedback may be wrong. Then disabled frames, then
+silence. The arbiter uses this sequence, and so does the guard when the arbiter is gone.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from schemas.settings import (
 )
 
 _STEP_MAX_NS: Final = 10 * TICK_NS
-"""After a pause the ramp continues with no greater step than this."""
+"""Longest step of the ramp after a pause."""
 
 _HAIR: Final = 1e-9
-"""So that a speed that is just on a bound is not over it by rounding."""
+"""Tolerance against rounding, for speeds exactly on a bound."""
 
 _DIRECTION: Final = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
@@ -45,11 +45,10 @@ class StopFeedback(msgspec.Struct, frozen=True):
     """The feedback that a stop needs.
 
     Attributes:
-        stands: the robot is seen to stand; False also when that cannot be seen.
-        moves: it is seen to move; False also when that cannot be seen.
-        speed_mps: the highest possible one, a magnitude; None if no sensor reports it.
-        wheel_speed_mps: the same by the wheels, forward positive; None if they do not report it.
-        is_braked: the parking brake reads applied; None if nothing can be concluded from it.
+        stands, moves: False also if that cannot be seen.
+        speed_mps: the highest measured one, a magnitude; None if unknown.
+        wheel_speed_mps: forward positive; None if unknown.
+        is_braked: the parking brake reads applied; None if its feedback proves nothing.
     """
 
     stands: bool = False
@@ -63,12 +62,12 @@ class StopSequence:
     """One stop, from the chassis's last command to silence.
 
     Attributes:
-        phase: the present one; IDLE when the stop has ended.
-        returns: number of times that the robot moved when the enables were gone, in this stop and just before it.
+        phase: IDLE when the stop has ended.
+        returns: how often the robot moved without enables, in this stop and just before it.
     """
 
     _shifts = False
-    """The gear changes in this tick, behind the brake. Checkpoints of before do not have it."""
+    """The gear changes in this tick, behind the brake. Absent in earlier checkpoints."""
 
     def __init__(
         self,
@@ -84,11 +83,11 @@ class StopSequence:
 
         Args:
             last: the chassis's last command.
-            deceleration_mps2: how fast the commanded speed goes to zero.
+            deceleration_mps2: of the ramp.
             now_ns: monotonic.
-            returns: number of times that the robot moved without enables, in stops just before this one.
-            may_release: the gate admits that this stop gives the robot back to its motor, once.
-            stood_by_motor: the robot stood by its motor until its parking brake was applied, just before.
+            returns: how often the robot moved without enables, in stops just before this one.
+            may_release: the gate allows one release of the parking brake in this stop.
+            stood_by_motor: the motor held the robot until its parking brake was applied, just before.
         """
         self._may_release = may_release
         self._stood_by_motor = stood_by_motor
@@ -101,38 +100,38 @@ class StopSequence:
         self._speed_mps = last.speed_mps
         self._angle_deg = last.angle_deg
         self._deceleration_mps2 = deceleration_mps2
-        # The last frame was sent a tick ago: the ramp begins with this one.
+        # The last frame was sent a tick ago, so the ramp begins in this tick.
         self._ticked_ns = now_ns - TICK_NS
         self._lowest_mps: float | None = None
         self._slowed_ns = now_ns
         self.phase = StopPhase.RAMP if last.speed_mps else StopPhase.BRAKE
         self._begun_ns = now_ns
         if last.parking or last.gear not in _DIRECTION:
-            # Parked it stays so, and in neutral nothing else brakes.
+            # A parked robot stays parked, and in neutral only this brake works.
             self.park(now_ns)
 
     def lacks_brake(self, now_ns: int) -> bool:
-        """The parking brake should read applied by now, and the sequence still waits for it."""
+        """The parking brake should read applied by now, but does not."""
         return self.phase is StopPhase.PARK and now_ns - self._begun_ns >= BRAKE_UNSEEN_NS
 
     @property
     def stays(self) -> bool:
-        """True if the enables are not taken away: without them the robot would move."""
+        """True if the enables stay, because without them the robot would move."""
         return self._is_released or self.returns >= BRAKE_RETURNS
 
     def is_braked(self, now_ns: int) -> bool:
-        """The robot has stood behind its applied parking brake for so long that a stop which stays may end."""
+        """The robot has stood braked for long enough that a stop which stays may end."""
         return self.phase is StopPhase.HOLD and now_ns - self._begun_ns >= BRAKED_NS
 
     def finish(self, now_ns: int) -> None:
-        """Take the enables away from a robot that has stood braked."""
+        """Withdraw the enables of a robot that has stood braked."""
         self.returns, self._is_released, self._may_release = 0, False, False
         self._enter(StopPhase.DISABLE, now_ns)
 
     def release(self, now_ns: int, wheel_speed_mps: float | None = None) -> None:
-        """Give the robot back to its motor, which held it before: the parking brake does not.
+        """Release a parking brake that slips, so that the motor holds the robot again.
 
-        In the midst of a change of direction the gear of its motion comes first, behind the brake.
+        During a change of direction the gear of its motion is engaged first, behind the brake.
         """
         if self._gear not in _DIRECTION:
             if not wheel_speed_mps:
@@ -144,18 +143,18 @@ class StopSequence:
         self._enter(StopPhase.MOTOR, now_ns)
 
     def hasten(self, deceleration_mps2: float) -> None:
-        """Slow down faster, for a graver cause. Never slower."""
+        """Slow down faster, for a more severe cause; never slower."""
         self._deceleration_mps2 = max(self._deceleration_mps2, deceleration_mps2)
 
     def not_above(self, speed_mps: float) -> None:
-        """Go on with the ramp from this speed, if it is a lower one."""
+        """Continue the ramp from this speed, if it is lower."""
         self._speed_mps = min(self._speed_mps, speed_mps)
 
     def after_part(self, before: StopSequence, told_mps: float) -> StopSequence:
-        """Return the sequence to go on with after the bus took the speed of a burst, and not the whole of it.
+        """Return the sequence to continue with after the bus accepted the speed of a burst, but not all of it.
 
-        At zero speed it goes on to the parking brake, which the next burst has second. Never further: a chassis
-        that did not receive it would lose its enables.
+        At zero speed it continues to the parking brake, which is second in the next burst; no further, because a
+        chassis that did not receive the brake would lose its enables.
         """
         if not told_mps and self.phase in {StopPhase.RAMP, StopPhase.BRAKE, StopPhase.PARK}:
             return self
@@ -163,7 +162,7 @@ class StopSequence:
         return before
 
     def park(self, now_ns: int) -> None:
-        """Apply the parking brake at once, at whatever speed."""
+        """Apply the parking brake at once, at any speed."""
         if self.phase in {StopPhase.RAMP, StopPhase.BRAKE}:
             self._speed_mps = 0.0
             self._enter(StopPhase.PARK, now_ns)
@@ -179,7 +178,7 @@ class StopSequence:
                     self.park(now_ns)
                 elif self._speed_mps == 0:
                     self._enter(StopPhase.BRAKE, now_ns)
-            # One phase a tick at most: zero speed has to be told before all else, also after a pause.
+            # At most one phase a tick: zero speed is commanded first, also after a pause.
             case StopPhase.BRAKE if (
                 feedback.stands
                 or self._is_blind(feedback)
@@ -206,10 +205,10 @@ class StopSequence:
         return actuation
 
     def _roll(self, feedback: StopFeedback, now_ns: int) -> None:
-        """Hold on to a robot that moves behind its applied brake, or give it back to the motor that stopped it."""
+        """Keep holding a robot that moves behind its brake, or give it back to the motor that stopped it."""
         self._begun_ns = now_ns
         if feedback.speed_mps is None:
-            # Beyond all speeds that its chassis can report it may be slowing down: nothing shows it.
+            # Beyond the measurable speeds it may be slowing down, unseen.
             return
         speed_mps = feedback.speed_mps
         if now_ns - self._rolls_ns > _STEP_MAX_NS:
@@ -220,17 +219,17 @@ class StopSequence:
             self.release(now_ns, feedback.wheel_speed_mps)
 
     def _is_not_held(self, feedback: StopFeedback, now_ns: int) -> bool:
-        """Neither its brake holds a robot whose enables are gone, nor its motor one whose brake was released."""
+        """The brake does not hold a robot without enables, or the motor one whose brake was released."""
         if self.phase is StopPhase.DISABLE:
             return feedback.moves
-        # A robot that moves beyond all speeds that its chassis can report is held by nothing.
+        # A robot beyond the measurable speeds is not held at all.
         speed_mps = inf if feedback.speed_mps is None and feedback.moves else feedback.speed_mps or 0.0
         is_early = now_ns - self._begun_ns < MOTOR_HOLDS_NS
-        # Noise of a bit each way is not faster.
+        # One bit of noise each way is not faster.
         is_faster = not is_early and (
             speed_mps == inf or speed_mps > self._released_mps + RUNAWAY_RISE_MPS + _HAIR
         )
-        # The motor has it only once the brake has opened: before, it gathers speed still.
+        # The robot still gains speed until the brake has opened.
         is_newer = feedback.is_braked if is_early else speed_mps < self._released_mps
         if self._released_mps == inf or is_newer:
             self._released_mps = speed_mps
@@ -241,11 +240,11 @@ class StopSequence:
 
     @staticmethod
     def _is_blind(feedback: StopFeedback) -> bool:
-        """True if no sensor can report motion: at zero speed the stop then does not wait for standstill."""
+        """True if no sensor reports motion: at zero speed the stop then does not wait for standstill."""
         return feedback.speed_mps is None and not feedback.moves
 
     def _runs_away(self, feedback: StopFeedback, now_ns: int) -> bool:
-        """The robot moves against the ramp, or is not seen to slow down."""
+        """The robot moves against the ramp, or does not slow down."""
         against_mps = -(feedback.wheel_speed_mps or 0.0) * _DIRECTION.get(self._gear, 0.0)
         speed_mps = feedback.speed_mps
         if speed_mps is not None and (self._lowest_mps is None or speed_mps < self._lowest_mps - SLOWING_MPS):

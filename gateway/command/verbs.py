@@ -27,11 +27,11 @@ _BY_STATE: Final = {
 }
 
 _UNPROVEN: Final = " (unproven)"
-"""Behind the name that a stop gave itself, where nothing proves it."""
+"""Suffix to the sender of a stop that is not proven."""
 
 
 class Verbs:
-    """Rules on each request, and acts on the states that its verb concerns."""
+    """Rules on each request, and changes the states that its verb concerns."""
 
     def __init__(
         self,
@@ -70,9 +70,9 @@ class Verbs:
         }
 
     def rule(self, raw: RawRequest, now_ns: int) -> Ruling:
-        """Rule on a request. Whatever its bytes are, this does not raise."""
+        """Rule on a request. Never raises."""
         if raw.verb == STOP_VERB:
-            # Served before anything is read: from anyone, whatever its payload holds.
+            # Served before the payload is read, and from any sender.
             return self._stop(raw, now_ns)
         request = self._read(raw)
         if isinstance(request, Ruling):
@@ -86,7 +86,7 @@ class Verbs:
         return self._rules[type(request)](request, raw.operator, now_ns)
 
     def _read(self, raw: RawRequest) -> requests.Request | Ruling:
-        """The typed request, with what its sender was granted; or why it is none."""
+        """Return the typed request within its sender's grant, or the refusal."""
         command = BY_VERB.get(raw.verb)
         if command is None or raw.is_query is not (command.asking is Asking.QUERY):
             return Ruling(Reason.UNKNOWN_VERB, f"{raw.verb[:32]!a} as a {'query' if raw.is_query else 'put'}")
@@ -100,11 +100,11 @@ class Verbs:
         return _as_granted(request, raw.credentials or _NOTHING_PROVEN) if self._is_signed else request
 
     def _stop(self, raw: RawRequest, now_ns: int) -> Ruling:
-        """Latch a stop in any case. Where it cannot be carried out, the reply says so, and what the robot does."""
+        """Latch a stop in any case. If it cannot be carried out, the reply says so and what the robot does."""
         is_proven = raw.credentials is not None and raw.credentials.reason is Reason.NONE
         name = raw.operator or "an unnamed operator"
         who = f"by {name}"
-        # Whoever has stopped it provably, and says so again, is no second one.
+        # A proven sender that repeats its stop without a proof is not named twice.
         is_unproven = self._is_signed and not is_proven and name not in self._latches.stopped_by
         self._engagement.begin_stop(
             Reason.REMOTE_STOP, now_ns, who + _UNPROVEN if is_unproven else who, raw.operator
@@ -213,7 +213,7 @@ class Verbs:
             return Ruling(refusal, lease=request.lease)
         latched_for_ns = now_ns - self._latches.newest_ns
         if self._latches.details and latched_for_ns < RESET_MIN_NS:
-            # Whoever sent this reset cannot have seen the newest cause yet.
+            # The sender of this reset cannot have seen the newest cause yet.
             detail = f"latched {latched_for_ns / 1e6:.0f} ms ago; a reset counts after {RESET_MIN_NS / 1e6:.0f} ms"
             cure = f"wait {(RESET_MIN_NS - latched_for_ns) / 1e9:.1f} s"
             return Ruling(self._latches.newest, detail, lease=request.lease, cure=cure)
@@ -238,7 +238,7 @@ class Verbs:
         return Ruling(detail=cleared, lease=request.lease)
 
     def _unseen_reason(self, challenge: bytes | None, now_ns: int) -> Reason:
-        """Return why a reset that echoes this challenge may not be meant for all that is latched."""
+        """Return why a reset that echoes this challenge may not apply to all latched causes."""
         if challenge is None:
             return Reason.NONE
         age_ns = self._link.challenges.age_ns(challenge, now_ns)
@@ -250,7 +250,7 @@ class Verbs:
         return Reason.NONE if is_seen else self._latches.newest
 
     def _reset_refusal(self, now_ns: int) -> Reason | None:
-        """Return why nothing can be reset: the robot must be seen to stand, and nobody may ask it to move."""
+        """Return why nothing can be reset: the robot must be seen to stand, with no speed requested."""
         if self._engagement.state is not ArbiterState.STANDBY and not self._engagement.may_finish(now_ns):
             return _BY_STATE[self._engagement.state]
         if self._monitor.chassis.guard_sends:
@@ -285,7 +285,7 @@ class Verbs:
         return Ruling(is_pending=True, lease=request.lease)
 
     def _reset_odometry(self, request: requests.ResetOdometry, operator: str, _now_ns: int) -> Ruling:
-        """Accept it at any time, also in motion: no rule of the arbiter depends on the pose."""
+        """Accept it in motion too: no rule of the arbiter depends on the pose."""
         text = "odometry reset: the pose is zero here"
         self._outbox.add_event(Severity.INFO, EventKind.RESET, Reason.NONE, text, operator)
         return Ruling(lease=request.lease)
@@ -313,7 +313,7 @@ class Verbs:
             return ruled(Reason.TOO_OLD, self._age_text(age_ns))
         if asked is None:
             return ruled(Reason.MALFORMED, str(asked_deg))
-        # From here on the command is known to be fresh and its holder's, who is there, whatever the state is.
+        # The command is fresh and from the holder: it renews the lease in any state.
         self._link.note_drive(request.seq, request.speed_mps, now_ns)
         self._leases.renew(now_ns)
         if self._engagement.state is ArbiterState.ENGAGED:
@@ -329,7 +329,7 @@ _NOTHING_PROVEN: Final = Credentials(Reason.PROOF_MISSING)
 
 
 def _as_granted(request: requests.Request, credentials: Credentials) -> requests.Request | Ruling:
-    """The request with what its sender's grant says in place of what the sender says; or why it is refused."""
+    """Return the request with role and limit of its sender's grant, or the refusal."""
     if credentials.reason is not Reason.NONE:
         return Ruling(credentials.reason, credentials.detail)
     match request:

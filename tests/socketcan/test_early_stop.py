@@ -108,7 +108,7 @@ def test_it_waits_for_an_interface_that_is_not_there_yet(vcan: Vcan) -> None:
         with gateway(vcan.name, free_endpoint()):
             _, said = process.communicate(timeout=30)
         assert process.returncode == 0
-        assert "a gateway is there" in said
+        assert "a gateway is running" in said
 
 
 def note(directory: Path) -> str:

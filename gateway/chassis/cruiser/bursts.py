@@ -1,7 +1,4 @@
-"""The Cruiser's command frames of a tick, from an actuation, with alive counters.
-
-The counters advance only with frames that were sent.
-"""
+"""The Cruiser's command frames of a tick, with alive counters, which advance only with frames that were sent."""
 
 from __future__ import annotations
 
@@ -43,10 +40,9 @@ class FrameMaker:
         self.is_torn = False
 
     def make(self, actuation: Actuation, auxiliary: list[AuxiliaryFrame], variant: Variant) -> list[Frame]:
-        """Return the frames of this tick: the five motion frames, then others that were requested.
+        """Return the frames of this tick: the five motion frames, then the requested others.
 
-        While the variant is not known the frames say zero speed, which is the same in both: a stop must go out
-        all the same.
+        In an unknown variant the speed is zero, which is the same in both, so that a stop can always be sent.
         """
         known = variant if variant is not Variant.UNKNOWN else Variant.COARSE
         encode, counters = self._encoders[known].encode, self.counters
@@ -55,7 +51,7 @@ class FrameMaker:
         values = motion_signals(
             enabled=actuation.enabled,
             gear=actuation.gear,
-            # Down to the bit: to the nearest one it would be above the limit.
+            # Round down: the nearest bit could be above the limit.
             speed_mps=toward_zero(actuation.speed_mps, self._scales[known]),
             angle_deg=toward_zero(actuation.angle_deg, self._angle_scale_deg),
             parking=actuation.parking,
@@ -66,12 +62,10 @@ class FrameMaker:
         return frames
 
     def restore(self, sent: Mapping[int, int]) -> None:
-        """These counters, by identifier, were sent last."""
         for can_id, counter in sent.items():
             self.counters[self._names[can_id]] = (counter + 1) % COUNTER_SPAN
 
     def sent(self, frames: list[Frame]) -> None:
-        """These were sent, the first of a burst: their counters advance."""
         if frames:
             self.is_torn = len(frames) < len(MOTION_FRAMES)
         for frame in frames:

@@ -1,13 +1,13 @@
-"""The early stop: the first program that looks at a CAN interface after the robot's computer has come up.
+"""The early stop: the first program that reads a CAN interface after the robot's computer has started.
 
-    python3 -I -S -E early_stop.py can0              watches until a gateway is there; stops what nobody commands
-    python3 -I -S -E early_stop.py --look can0 can1  looks for half a second: exit code 5: a robot moves
+    python3 -I -S -E early_stop.py can0              watches until a gateway starts; stops uncommanded motion
+    python3 -I -S -E early_stop.py --look can0 can1  looks for half a second; exit code 5: a robot moves
 
-After a power cut the chassis executes its last command until somebody tells it otherwise, and a gateway needs
-seconds to start. This is one file that imports nothing but small modules of the standard library, so that it runs
-tens of milliseconds after its start. It judges as the guard does, and sends what the guard's stop sends where it
-knows neither speed scale nor command: zero speed at once, the parking brake, disabled frames, silence. A test
-compares its frames, byte for byte, with those of ``gateway.guard.stopper``.
+After a power cut the chassis executes its last command until another one comes, and a gateway takes seconds to
+start. This file imports only small modules of the standard library, so that it runs within tens of milliseconds.
+It applies the guard's rules, and sends the frames of the guard's stop for an unknown speed scale and command: zero
+speed at once, the parking brake, disabled frames, silence. A test compares its frames, byte for byte, with those
+of ``gateway.guard.stopper``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import time
 
 MS = 1_000_000
 
-# The layout, as the DBC files have it: a test holds it against them. Identifiers are those of extended frames.
+# The layout of the DBC files; a test compares it with them. Identifiers are those of extended frames.
 EXTENDED = 0x8000_0000
 GEAR, STEERING, DRIVE, PARKING, WHEEL_SPEED, WHEEL_PULSE, BODY = (
     0x98C400EF | number << 8 for number in (0xD1, 0xD2, 0xD3, 0xD5, 0xD7, 0xD8, 0xD9)
@@ -34,13 +34,13 @@ GEAR_COMMAND, STEERING_COMMAND, DRIVE_COMMAND, BRAKING_COMMAND, PARKING_COMMAND 
 ODOMETER_COMMAND, LIGHT_COMMAND, SPEAKER_COMMAND = (0x98C400D0 | number << 8 for number in range(0xD6, 0xD9))
 MOTION = (DRIVE_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND, PARKING_COMMAND)
 BRAKE_FIRST = (DRIVE_COMMAND, PARKING_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND)
-"""After a burst of which the bus took only a part."""
+"""After a partly accepted burst."""
 
 EXTRAS = (LIGHT_COMMAND, SPEAKER_COMMAND, ODOMETER_COMMAND)
-"""Lamps, horn and odometer: the chassis keeps these for ever too."""
+"""Lamps, horn and odometer: the chassis keeps these forever too."""
 
 HAZARD = 1 << 8 | 1 << 16
-"""The lamps' bits: both indicators on, for the stop is latched. Horn and odometer get no bit."""
+"""The lamps' bits: both indicators on, because the stop is latched. Horn and odometer get no bit."""
 
 SILENCE_NS = {
     GEAR: 100 * MS,
@@ -57,9 +57,9 @@ APPLIED = 1
 ANGLE_SCALE_DEG, ANGLE_OFFSET_DEG, ANGLE_TOP_DEG = 0.043945, -90.0, 24.0
 TURNING_RAW_MIN = 2
 STANDING_COARSE, STANDING_FINE = range(199, 202), range(32718, 32819)
-"""Wheel speeds of a standing robot, raw: what one variant calls standing is many m/s in the other."""
+"""Wheel speeds of a standing robot, raw: standstill in one variant is many m/s in the other."""
 
-# As in schemas.settings: a test holds them together.
+# As in schemas.settings; a test compares them.
 TICK_NS = 10 * MS
 COMMANDER_NS = 100 * MS
 GUARD_LOOK_NS = 100 * MS
@@ -75,29 +75,29 @@ OFF_BURSTS = 10
 BRAKE_RETURNS = 2
 
 MOVING_FRAMES = {DRIVE: 3, WHEEL_SPEED: 3, WHEEL_PULSE: 6}
-"""So many frames in a row that show motion are believed; pulses that count the same way."""
+"""Consecutive frames that prove motion; for pulses, with counts in one direction."""
 
 WATCH_NS = 120_000 * MS
-"""So long after the interface came up it watches, where no gateway comes."""
+"""Time to watch after the interface is up, if no gateway starts."""
 
 LOOKS = 25
 MOVES = 5
-"""Exit code of a look that finds a robot in motion, or under command."""
+"""Exit code if a robot moves or is being commanded."""
 
 LINK_POLL_S = 0.02
 APPEAR_S = 60.0
-"""So long it waits for an interface that is not there yet."""
+"""Time to wait for a missing interface."""
 
 CLAIM_POLL_NS = 200 * MS
 POLL_S = 0.005
 WATCH_POLL_S = 0.02
-"""While nothing is to be sent: looked at more often, a busy bus would take a processor that others start on."""
+"""Period while nothing is sent: a shorter one would load a processor that others need to start."""
 
 WAITING_MAX_FRAMES = 10_000
 FRAME = struct.Struct("=IB3x8s")
 SEND_BUFFER_BYTES = 3_400
 SETTINGS_FILE = "/etc/cruiser/cruiser.toml"
-FOUND = "early stop: the chassis was found in auto and moving, and nobody commanded it: stopping the robot"
+FOUND = "early stop: uncommanded motion in mode auto: stopping the robot"
 
 Command = tuple[int, bytes]
 
@@ -106,9 +106,9 @@ class Chassis:
     """The newest feedback and commands on the bus. Pure.
 
     Attributes:
-        commander_ns: when a command frame that moves the robot was last received; None if never.
-        next_counters: the alive counter that each command frame would have next, by its identifier.
-        moving: frames in a row that show motion, by identifier.
+        commander_ns: when a motion command was last received; None if never.
+        next_counters: the next alive counter of each command frame, by identifier.
+        moving: consecutive frames that show motion, by identifier.
     """
 
     def __init__(self) -> None:
@@ -121,7 +121,6 @@ class Chassis:
         self._slow_since_ns: int | None = None
 
     def receive(self, can_id: int, data: bytes, now_ns: int) -> None:
-        """A frame came from the bus."""
         if len(data) != 8 or data[0] ^ data[1] ^ data[2] ^ data[3] ^ data[4] ^ data[5] ^ data[6] != data[7]:
             return
         if can_id in MOTION or can_id in EXTRAS:
@@ -131,7 +130,7 @@ class Chassis:
         elif can_id in SILENCE_NS:
             before = self._latest.get(can_id)
             if before is not None and before[0][6] >> 4 == data[6] >> 4:
-                return  # It repeats its counter, and says nothing new.
+                return  # It repeats its counter, and carries no news.
             self._latest[can_id] = (data, now_ns)
             if can_id in self.moving:
                 self.moving[can_id] = self.moving[can_id] + 1 if self._shows_motion(can_id, data, before) else 0
@@ -142,7 +141,7 @@ class Chassis:
         if can_id == DRIVE:
             return _raw(data) >= TURNING_RAW_MIN
         if not data[0] & 1:
-            return False  # it says itself that it is not valid
+            return False  # marked as not valid
         if can_id == WHEEL_SPEED:
             return not _wheels_stand(data)
         counted = 0 if before is None else _counted(data, before[0])
@@ -150,36 +149,36 @@ class Chassis:
         return bool(counted) and way in {0, self._way}
 
     def is_moving(self, now_ns: int) -> bool:
-        """The robot is seen to move by drive feedback, wheels or pulses, whichever shows it for long enough."""
+        """Drive feedback, wheels or pulses have shown motion for long enough."""
         return any(
             self.moving[can_id] >= frames and self.fresh(can_id, now_ns) is not None
             for can_id, frames in MOVING_FRAMES.items()
         )
 
     def fresh(self, can_id: int, now_ns: int) -> bytes | None:
-        """The newest frame, unless it is old."""
+        """The newest frame; None if it is old."""
         data, received_ns = self._latest.get(can_id, (b"", -SILENCE_NS[can_id] - 1 + now_ns))
         return None if now_ns - received_ns > SILENCE_NS[can_id] else data
 
     def is_commanded(self, now_ns: int) -> bool:
-        """Another computer commands the chassis, or a guard."""
+        """Another computer or a guard commands the chassis."""
         return self.commander_ns is not None and now_ns - self.commander_ns < COMMANDER_NS
 
     def mode(self, now_ns: int) -> int:
-        """The mode; UNDEFINED if it is not told, or is remote in a single frame."""
+        """The mode; UNDEFINED if unknown, or remote in a single frame."""
         data = self.fresh(BODY, now_ns)
         mode = UNDEFINED if data is None else _mode(data)
         return UNDEFINED if mode == REMOTE and self._remote_frames < REMOTE_FRAMES else mode
 
     def moves(self, now_ns: int) -> bool:
-        """The robot is seen to move by drive feedback or wheels, in either speed scale."""
+        """Drive feedback or wheels show motion, in either speed scale."""
         drive, wheels = self.fresh(DRIVE, now_ns), self.fresh(WHEEL_SPEED, now_ns)
         return (drive is not None and _raw(drive) >= TURNING_RAW_MIN) or (
             wheels is not None and bool(wheels[0] & 1) and not _wheels_stand(wheels)
         )
 
     def stands(self, now_ns: int) -> bool:
-        """It was seen to stand whenever this was asked in the last 50 ms."""
+        """It was seen to stand at every call in the last 50 ms."""
         wheels, drive = self.fresh(WHEEL_SPEED, now_ns), self.fresh(DRIVE, now_ns)
         if wheels is None or drive is None or _raw(drive) or not _wheels_stand(wheels):
             self._slow_since_ns = None
@@ -189,32 +188,32 @@ class Chassis:
         return now_ns - self._slow_since_ns >= STANDS_NS
 
     def is_braked(self, now_ns: int) -> bool | None:
-        """The parking brake reads applied; None if it is not told."""
+        """The parking brake reads applied; None if unknown."""
         data = self.fresh(PARKING, now_ns)
         return None if data is None else data[1] == APPLIED
 
     def gear(self, now_ns: int) -> int:
-        """The gear, raw; 0 if it is not told."""
+        """The gear, raw; 0 if unknown."""
         data = self.fresh(GEAR, now_ns)
         return 0 if data is None else data[1] & 7
 
     def angle_raw(self, now_ns: int) -> int:
-        """The steering angle as a command has it, as far as the chassis steers; straight on if it is not told."""
+        """The steering angle, raw as in a command, within the chassis's limit; straight ahead if unknown."""
         data = self.fresh(STEERING, now_ns)
         angle_deg = 0.0 if data is None else (_raw(data) & 0xFFF) * ANGLE_SCALE_DEG + ANGLE_OFFSET_DEG
         bits = int(min(abs(angle_deg), ANGLE_TOP_DEG) / ANGLE_SCALE_DEG + 1e-6)
         return round((bits * (-1 if angle_deg < 0 else 1) * ANGLE_SCALE_DEG - ANGLE_OFFSET_DEG) / ANGLE_SCALE_DEG)
 
     def is_complete(self, now_ns: int) -> bool:
-        """All that a stop has to begin from is told."""
+        """All feedback that a stop begins from is known."""
         return all(self.fresh(can_id, now_ns) is not None for can_id in (GEAR, STEERING, DRIVE, BODY))
 
 
 class EarlyStop:
-    """Watches the chassis, and stops it when it moves in auto and nobody commands it. Pure.
+    """Watches the chassis, and stops uncommanded motion in mode auto. Pure.
 
     Attributes:
-        frames: those that the bus took in this stop.
+        frames: number of frames that the bus accepted in this stop.
         outcome: how the last stop ended, in the guard's words; empty before.
     """
 
@@ -234,7 +233,7 @@ class EarlyStop:
         self._offered: list[Command] = []
 
     def is_needed(self, now_ns: int) -> bool:
-        """The chassis moves in auto, or in no known mode, and nobody has commanded it since it is listened to."""
+        """The chassis moves in auto or an unknown mode, and no command was received since the start."""
         chassis = self.chassis
         is_auto = chassis.mode(now_ns) == AUTO or chassis.fresh(BODY, now_ns) is None
         return (
@@ -246,7 +245,6 @@ class EarlyStop:
         )
 
     def begin(self, now_ns: int) -> None:
-        """Begin to stop."""
         self.is_sending = True
         self.outcome = ""
         self.frames = 0
@@ -257,7 +255,7 @@ class EarlyStop:
         self._look(now_ns)
 
     def tick(self, now_ns: int) -> list[Command]:
-        """The frames that are due now; none between two ticks of the bus, and none without a stop."""
+        """The frames that are due now; none between two ticks, and none without a stop."""
         if not self.is_sending:
             return []
         stands = self.chassis.stands(now_ns)
@@ -269,20 +267,20 @@ class EarlyStop:
             return []
         self._due_ns += TICK_NS * (1 + (now_ns - self._due_ns) // TICK_NS)
         if self._phase and now_ns - self._told_ns > GUARD_SILENT_NS:
-            # This process stood still, or the bus was away: others may have done anything meanwhile.
+            # This process was paused, or the bus was away: look again.
             self._look(now_ns)
         if not self._phase and not self._start(now_ns):
             return []
         return self._burst(now_ns, stands=stands)
 
     def sent(self, count: int, now_ns: int) -> None:
-        """The bus took so many of the frames of this tick."""
+        """Note how many frames of this tick the bus accepted."""
         if count >= len(MOTION):
             self._told_ns = now_ns
             self._is_torn = False
             self._bursts += count == len(self._offered)
         elif self._offered:
-            # The chassis was not told all: a stop that nobody received must not go on, but to the parking brake.
+            # The chassis received only a part: the stop must not continue, except to the parking brake.
             if not count or self._phase not in {"zero", "park"}:
                 self._phase, self._entered_ns = self._before
             self._is_torn |= count > 0
@@ -292,7 +290,7 @@ class EarlyStop:
         self.frames += count
 
     def _look(self, now_ns: int) -> None:
-        """Begin, or begin again, once it is known from what."""
+        """Begin, or begin again, once the feedback is known."""
         self._phase = ""
         self._look_until_ns = now_ns + GUARD_LOOK_NS
         self._bursts = 0
@@ -308,7 +306,7 @@ class EarlyStop:
         self._told_ns = now_ns
         self._enter("zero" if rolls else "park", now_ns)
         if chassis.mode(now_ns) == STOP and chassis.is_braked(now_ns) and not chassis.moves(now_ns):
-            # It obeys nobody, and its brake holds it: enables would only switch it back to auto.
+            # It executes no command, and its brake holds: enables would only switch it back to auto.
             self._enter("disable", now_ns)
         return True
 
@@ -317,21 +315,21 @@ class EarlyStop:
         moves, brake = chassis.moves(now_ns), chassis.is_braked(now_ns)
         mode = chassis.mode(now_ns)
         if mode == STOP and moves and self._phase == "zero":
-            # It obeys nobody, and nothing holds it: the parking brake is told all the same.
+            # It executes no command, and nothing holds it: command the parking brake anyway.
             self._enter("park", now_ns)
         self._before = self._phase, self._entered_ns
         if mode != AUTO and not brake:
-            brake = None  # In mode stop the chassis need not heed the request.
+            brake = None  # In mode stop the chassis may ignore the request.
         if self._has_ended(now_ns, stands=stands, brake=brake):
             return self._end("the robot stands" if stands else "the robot is not seen to stand")
         self._offered = self._frames()
         return self._offered
 
     def _has_ended(self, now_ns: int, *, stands: bool, brake: bool | None) -> bool:
-        """Pass on to the next phase, one a tick at most. Returns whether all is done."""
+        """Go to the next phase, at most one a tick. Returns True at the end."""
         moves, age_ns = self.chassis.moves(now_ns), now_ns - self._entered_ns
         match self._phase:
-            # Its speed has no known scale, so that it is not seen to slow down.
+            # Without a known scale its slowing down cannot be seen.
             case "zero" if stands or not moves or age_ns >= NOT_SLOWING_NS:
                 self._enter("park", now_ns)
             case "park" if brake or (brake is None and age_ns >= BRAKE_UNSEEN_NS):
@@ -340,7 +338,7 @@ class EarlyStop:
                 self._entered_ns = now_ns
             case "hold" if age_ns >= HOLD_NS and self._returns < BRAKE_RETURNS:
                 self._enter("disable", now_ns)
-            # Its brake does not hold it when the enables are gone.
+            # Its brake does not hold it without the enables.
             case "disable" if moves:
                 self._returns += 1
                 self._enter("park", now_ns)
@@ -399,12 +397,12 @@ def _counted(data: bytes, before: bytes) -> int:
 
 
 def _mode(body: bytes) -> int:
-    """The mode of a body frame; eight zero bytes would read auto, but are not valid."""
+    """The mode in a body frame; eight zero bytes would read auto, but are not valid."""
     return body[5] & 3 if body[0] & 1 else UNDEFINED
 
 
 def _wheels_stand(data: bytes) -> bool:
-    """They are those of a standing robot, in one of the speed scales."""
+    """The wheel speeds are those of standstill in one of the scales."""
     word = int.from_bytes(data[:7], "little") & ~(0xF << 52)
     coarse, fine = (
         ((word >> 8 & mask, word >> 24 & mask), 1 | mask << 8 | mask << 24) for mask in (0x1FF, 0xFFFF)
@@ -416,27 +414,27 @@ def _wheels_stand(data: bytes) -> bool:
 
 
 class Interface:
-    """A CAN interface of the kernel's, which may be down, or go."""
+    """A CAN interface of the kernel, which may go down or disappear."""
 
     def __init__(self, name: str) -> None:
-        """Bind to it, up or down. Raises OSError: there is no such interface."""
+        """Bind to it. Raises OSError: there is no such interface."""
         self._socket = socket.socket(socket.PF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        mask = 0xDFFF_FFFF  # with the bit that is left out a filter would be one of error frames
+        mask = 0xDFFF_FFFF  # the omitted bit would make it a filter of error frames
         filters = b"".join(struct.pack("=II", can_id, mask) for can_id in (*SILENCE_NS, *MOTION, *EXTRAS))
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
-        # What is not taken must not wait, and be sent later.
+        # Frames that are not sent at once must not wait.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         self._name = name
         self._socket.bind((name,))
 
     @property
     def is_up(self) -> bool:
-        """The interface is up. Raises OSError: it has gone."""
+        """The interface is up. Raises OSError: it has disappeared."""
         request = struct.pack("@16sh14x", self._name.encode(), 0)
         return bool(struct.unpack("@16sh14x", fcntl.ioctl(self._socket, 0x8913, request))[1] & 1)
 
     def waiting(self) -> list[Command]:
-        """The frames that wait, a bounded number. Raises OSError: the interface is down, or gone."""
+        """The waiting frames, a bounded number. Raises OSError: the interface is down or has disappeared."""
         frames: list[Command] = []
         try:
             while len(frames) < WAITING_MAX_FRAMES:
@@ -449,7 +447,7 @@ class Interface:
         return frames
 
     def send(self, frames: list[Command]) -> int:
-        """Hand frames to the interface. Returns how many it took."""
+        """Send frames. Returns how many the interface accepted."""
         for count, (can_id, data) in enumerate(frames):
             try:
                 self._socket.send(FRAME.pack(can_id, 8, data), socket.MSG_DONTWAIT)
@@ -459,25 +457,24 @@ class Interface:
 
 
 class EarlyNote:
-    """The note of a stop, in the guard's form and place: the gateway latches it, and knows the frames by it.
+    """The note of a stop, in the guard's format and place, which ``gateway.host.notes`` reads and latches.
 
-    It is written on a thread, for a disk may stall. ``gateway.host.notes`` reads it.
+    It is written on a thread, because a disk may stall.
     """
 
     def __init__(self, interface: str) -> None:
-        """Write nothing yet."""
         self._interface = interface
         self._lines: list[str] = []
         self._is_done = _thread.allocate_lock()
 
     def add(self, line: str) -> None:
-        """Have this line written, after those before it."""
+        """Write this line after the earlier ones."""
         self._lines.append(f"{_time_of_day()} guard: {line}\n")
         if self._is_done.acquire(blocking=False):
             _thread.start_new_thread(self._write, ())
 
     def close(self) -> None:
-        """Wait for the disk, but not for ever."""
+        """Wait for the disk, up to 5 s."""
         self._is_done.acquire(timeout=5.0)
 
     def _write(self) -> None:
@@ -495,11 +492,11 @@ class EarlyNote:
 
 
 def note_path(interface: str) -> str:
-    """The note of the robot that the gateway's settings name; empty if that is on another interface."""
+    """The path for the robot in the gateway's settings; empty if it uses another interface."""
     try:
-        import tomllib  # noqa: PLC0415 - not before it is needed: it takes longer than all the rest
+        import tomllib  # noqa: PLC0415 - only when needed: it takes longer than all the rest
     except ImportError:
-        return ""  # Python 3.10, of a system where the gateway runs in a container
+        return ""  # Python 3.10, on a system where the gateway runs in a container
 
     path = os.environ.get("CRUISER_CONFIG", SETTINGS_FILE)
     tables = {}
@@ -534,10 +531,9 @@ def is_claimed(interface: str) -> bool:
 
 
 class Watch:
-    """Watches one interface until a gateway is there, or the time is over."""
+    """Watches one interface until a gateway is running, or the time is over."""
 
     def __init__(self, interface: Interface, name: str, note: EarlyNote, watch_ns: int = WATCH_NS) -> None:
-        """Begin now."""
         self._interface = interface
         self._name = name
         self._note = note
@@ -547,7 +543,7 @@ class Watch:
         self._is_announced = False
 
     def run(self) -> None:
-        """Watch; a stop that has begun is brought to its end. Raises OSError: the interface is down, or gone."""
+        """Watch; complete a stop that has begun. Raises OSError: the interface is down or has disappeared."""
         while not self._is_over(time.monotonic_ns()):
             self._act(time.monotonic_ns())
             time.sleep(POLL_S if self._stop.is_sending else WATCH_POLL_S)
@@ -555,7 +551,7 @@ class Watch:
             is_old = now_ns - self._looked_ns > GUARD_SILENT_NS
             self._looked_ns = now_ns
             for frame in self._interface.waiting():
-                # What came while this process stood still is old.
+                # Frames received during a pause of this process are old.
                 if not is_old:
                     self._stop.chassis.receive(*frame, now_ns)
 
@@ -566,13 +562,13 @@ class Watch:
         if is_needed or now_ns - self._asked_ns > CLAIM_POLL_NS:
             self._asked_ns = now_ns
             if is_claimed(self._name):
-                say("a gateway is there")
+                say("a gateway is running")
                 return True
         if is_needed:
             self._stop.begin(now_ns)
             self._is_announced = False
         elif now_ns > self._end_ns:
-            say("no gateway has come; watching no longer")
+            say("no gateway has started; no longer watching")
             return True
         return False
 
@@ -584,20 +580,20 @@ class Watch:
         if frames:
             stop.sent(self._interface.send(frames), now_ns)
         if not self._is_announced:
-            # First the deed: a line may have to wait for who reads it.
+            # Send first: writing a line may block.
             self._is_announced = True
             self._announce(FOUND)
         if not stop.is_sending:
             self._announce(f"done: {stop.outcome}; {stop.frames} frames sent")
 
     def _announce(self, line: str) -> None:
-        """A line for the journal, and for the note."""
+        """Write a line to stderr and to the note."""
         say(line.removeprefix("early stop: "))
         self._note.add(line)
 
 
 def look(names: list[str]) -> int:
-    """Look at each interface for half a second. Returns MOVES, and says why, if a robot moves or is commanded."""
+    """Look at each interface for half a second. Returns MOVES if a robot moves or is commanded."""
     code = 0
     for name in names:
         chassis = Chassis()
@@ -609,7 +605,7 @@ def look(names: list[str]) -> int:
                 for frame in interface.waiting():
                     chassis.receive(*frame, now_ns)
         except OSError:
-            continue  # It is down, or gone: nothing can be known, and nothing is commanded from here.
+            continue  # Down or missing: nothing can be known, and nothing is commanded from here.
         now_ns = time.monotonic_ns()
         is_moving = chassis.is_moving(now_ns) or chassis.moves(now_ns)
         if is_moving or chassis.is_commanded(now_ns):
@@ -643,7 +639,7 @@ def main(words: list[str]) -> int:
 
 
 def appeared(name: str) -> Interface | None:
-    """The interface, as soon as it is there: this is started before. None if it does not come. Raises OSError."""
+    """Wait for the interface, which may appear later. None if it does not. Raises OSError."""
     end_s = time.monotonic() + APPEAR_S
     while time.monotonic() < end_s:
         try:
@@ -652,12 +648,11 @@ def appeared(name: str) -> Interface | None:
             if error.errno not in {errno.ENODEV, errno.EAFNOSUPPORT}:
                 raise
         time.sleep(LINK_POLL_S)
-    say(f"there is no {name}; udev starts another where it comes later")
+    say(f"there is no {name}; udev starts this program again when it appears")
     return None
 
 
 def say(line: str) -> None:
-    """A line on stderr."""
     sys.stderr.write(f"early stop: {line}\n")
     sys.stderr.flush()
 

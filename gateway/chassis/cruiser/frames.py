@@ -1,9 +1,9 @@
-"""The Cruiser's frames: identifiers, layouts, feedback that can be, and its variant.
+"""The Cruiser's frames: identifiers, layouts, plausible feedback, and the firmware variant.
 
-The checksum is weak: eight zero bytes pass it. A frame with one value that cannot be is not believed at all. Gear
-and mode must have a name in their value table, for commands depend on them. The parking status need not: the
-manual names 1 and 3 of eight bits, a brake on its way may well say 2, and a dropped frame would hide the brake. It
-and the reserved braking frame are published as ``undefined``, which permits nothing.
+The checksum is weak: eight zero bytes pass it. So a frame with one implausible value is rejected as a whole. Gear
+and mode must have a name in their value table, because commands depend on them. The parking status need not: the
+manual names 1 and 3 of eight bits, a moving brake may report 2, and a dropped frame would hide the brake. It and
+the reserved braking frame are published as ``undefined``, which permits nothing.
 
 A standing robot's wheel speed frame is evidence of the variant: about 200 raw in the coarse one, about 32768 in
 the fine one; read in the wrong one it shows -8 m/s or -32.6 m/s (protocol notes, 'Two firmware variants').
@@ -42,7 +42,7 @@ WHEEL_SPEED: Final = "Auto_WheelSpdFeedback"
 WHEEL_PULSE: Final = "Auto_WheelPulseFeedback"
 
 SCALED_BY_VARIANT: Final = (DRIVE, WHEEL_SPEED)
-"""The feedback frames whose layout depends on the variant: those of speeds. A test holds this against the DBCs."""
+"""The feedback frames of speeds, whose layout depends on the variant. A test compares this with the DBCs."""
 
 DRIVE_COMMAND: Final = "Auto_DriveCmd"
 GEAR_COMMAND: Final = "Auto_GearCmd"
@@ -57,7 +57,7 @@ MOTION_FRAMES: Final = (DRIVE_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_C
 """The five of a burst. The speed frame is sent first, so even a partly accepted burst stops the robot."""
 
 BRAKE_FIRST_FRAMES: Final = (DRIVE_COMMAND, PARKING_COMMAND, GEAR_COMMAND, STEERING_COMMAND, BRAKING_COMMAND)
-"""Their order at zero speed, after a burst of which the bus took only a part: so the brake comes through too."""
+"""Their order at zero speed, after a partly accepted burst, so that the brake is sent too."""
 
 TARGET_SPEED: Final = "TargetVelocity"
 TARGET_ANGLE: Final = "TargetAngle"
@@ -77,11 +77,11 @@ def motion_signals(
 
 
 LAYOUTS: Final = "layouts.json"
-"""The file of the layouts. To import cantools and read the DBC took a sixth of a gateway's start."""
+"""The file of the layouts. Reading the DBC with cantools took a sixth of a gateway's start."""
 
 
 class ReadLayout(msgspec.Struct, frozen=True):
-    """A layout, and the SHA-256 of the DBC that it was read from."""
+    """A layout, and the SHA-256 of its DBC."""
 
     dbc_sha256: str
     layout: ChassisLayout
@@ -98,7 +98,7 @@ def load(variant: Variant) -> ChassisLayout:
     text = resources.files(__package__).joinpath(LAYOUTS).read_bytes()
     read = msgspec.json.decode(text, type=dict[Variant, ReadLayout])[variant]
     if read.dbc_sha256 != digest(variant):
-        raise ValueError(f"{LAYOUTS} was not made of this {DBC_FILES[variant]}; 'make generate' makes it anew")
+        raise ValueError(f"{LAYOUTS} was not made from this {DBC_FILES[variant]}; run 'make generate'")
     return read.layout
 
 
@@ -109,7 +109,7 @@ PLAUSIBLE: Final[tuple[tuple[str, str, Rule], ...]] = (
     (WHEEL_SPEED, "RearLeftSpeed", Within(-SPEED_PLAUSIBLE_MPS, SPEED_PLAUSIBLE_MPS)),
     (WHEEL_SPEED, "RearRightSpeed", Within(-SPEED_PLAUSIBLE_MPS, SPEED_PLAUSIBLE_MPS)),
     (BODY, "Mode", Named()),
-    # Auto is 0, as in eight zero bytes. A robot in auto whose bumpers are not valid must not be driven either.
+    # Auto is 0, as in eight zero bytes; and without valid bumpers a robot in auto must not be driven.
     (BODY, "Mode", Requires("auto", "Valid")),
 )
 """Frame, signal, rule. Every rule of a frame must hold."""
@@ -135,7 +135,7 @@ class StandstillEvidence:
         }
 
     def of(self, data: bytes) -> Variant:
-        """The variant in which these eight bytes are those of a standing robot; UNKNOWN if they are not."""
+        """The variant in which these eight bytes show standstill; UNKNOWN if none."""
         word = int.from_bytes(data, "little")
         for variant, (read, unused_bits) in self._readers.items():
             signals = read(data)
@@ -147,6 +147,6 @@ class StandstillEvidence:
         return Variant.UNKNOWN
 
     def turns(self, data: bytes) -> bool | None:
-        """Return True if these eight bytes are of no standing robot in any variant; None if they are not valid."""
+        """Return True if these eight bytes show motion in every variant; None if they are not valid."""
         read, _ = self._readers[Variant.COARSE]
         return self.of(data) is Variant.UNKNOWN if read(data)["Valid"] else None

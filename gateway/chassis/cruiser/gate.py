@@ -1,7 +1,7 @@
-"""The last gate before the bus. Default deny: it admits what its own table allows, and nothing else.
+"""The last gate before the bus. Default deny: it admits only what its own table allows.
 
-It trusts nobody and reads the bytes; what it refuses is a fault of the gateway's own. Its table is written by hand
-from the manual, and not from the DBC of the encoder, nor from shared figures: one mistake must not pass both.
+It reads the bytes and trusts no other module; a refusal is an internal fault of the gateway. Its table is written
+by hand from the manual, not from the encoder's DBC or shared constants, so that one mistake cannot pass both.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOTION: Final = (DRIVE_ID, _GEAR, _STEERING, _BRAKING, _PARKING)
 """The five of a burst, in their order."""
 
 BRAKE_FIRST: Final = (DRIVE_ID, _PARKING, _GEAR, _STEERING, _BRAKING)
-"""Their order at zero speed, after a burst of which the bus took only a part."""
+"""Their order at zero speed, after a partly accepted burst."""
 
 _ALIVE_BITS: Final = 0xF << 52
 
@@ -60,10 +60,10 @@ SPEED_RAW_MAX: Final = {Variant.COARSE: 55, Variant.FINE: 2222, Variant.UNKNOWN:
 """2.222 m/s at 0.04 or 0.001 m/s a bit. In an unknown scale only zero is safe."""
 
 SPEED_RISE_RAW: Final = {Variant.COARSE: 1, Variant.FINE: 16, Variant.UNKNOWN: 0}
-"""Most that the speed may rise from one burst to the next: 1.6 m/s2, or one bit."""
+"""Largest rise of the speed from one burst to the next: 1.6 m/s2, or one bit."""
 
 ANGLE_STEP_RAW: Final = 15
-"""Most that the angle may change from one burst to the next: 60 deg/s, and rounding."""
+"""Largest change of the angle from one burst to the next: 60 deg/s, and rounding."""
 
 
 class MotionBurst(msgspec.Struct, frozen=True, gc=False):
@@ -84,7 +84,7 @@ class MotionBurst(msgspec.Struct, frozen=True, gc=False):
 
 
 def read_motion(frames: list[Frame]) -> MotionBurst:
-    """Read the five frames that a burst begins with, in whatever order."""
+    """Read the first five frames of a burst, in any order."""
     words = {frame.can_id: int.from_bytes(frame.data, "little") for frame in frames[:5]}
     drive, gear, steering, braking, parking = (words[can_id] for can_id in MOTION)
     return MotionBurst(
@@ -101,36 +101,36 @@ BURST_MAX_FRAMES: Final = 8
 """The five and one of each other frame."""
 
 RATE_FRAMES: Final = 12
-"""Frames of one identifier that pass at most in ``RATE_WINDOW_NS``; 10 are nominal."""
+"""Most frames of one identifier in ``RATE_WINDOW_NS``; 10 are nominal."""
 
 RATE_WINDOW_NS: Final = 100_000_000
 """Window of the rate limit, 100 ms."""
 
 FORGET_NS: Final = 200_000_000
-"""After a pause the next burst is not held against the one before."""
+"""Pause after which a burst is not compared with the one before."""
 
 
 class Gate:
     """Admits a burst as a whole or not at all."""
 
     def __init__(self, *, may_release: bool = False) -> None:
-        """Nothing was sent yet. A stop of an engagement may release the parking brake once."""
+        """Start before the first burst. A stop of an engagement may release the parking brake once."""
         self.counters: dict[int, int] = {}
         self._times_ns: dict[int, deque[int]] = {can_id: deque(maxlen=RATE_FRAMES) for can_id in USED_BITS}
         self._before: MotionBurst | None = None
         self._before_ns = 0
         self._is_stopping = self._is_torn = False
-        # In a stop the parking brake is released once at most, by a robot that it does not hold.
+        # A stop releases the parking brake at most once, if it does not hold the robot.
         self._may_release = may_release
 
     def admit(
         self, frames: list[Frame], variant: Variant, now_ns: int, *, stopping: bool = False
     ) -> GateFault | None:
-        """Return the fault for which these frames must not be sent together, or None if they may.
+        """Return why these frames must not be sent together, or None if they may.
 
-        One stop is always admitted, whatever was admitted before: zero speed, gear and angle of the burst before,
-        the parking request, all enables and no pedal. Only a stop may begin with the parking brake released; in a
-        stop no speed rises, and the parking brake stays applied, but for one release at zero speed.
+        One stop is always admitted: zero speed, gear and angle of the previous burst, the parking request, all
+        enables and no pedal. Only a stop may begin with the parking brake released; in a stop no speed rises, and
+        the parking brake stays applied, except for one release at zero speed.
         """
         if len(frames) > BURST_MAX_FRAMES or len({frame.can_id for frame in frames}) != len(frames):
             return GateFault(0, "too many frames, or one twice")
@@ -152,7 +152,6 @@ class Gate:
         return GateFault(DRIVE_ID, fault) if fault else None
 
     def sent(self, frames: list[Frame], now_ns: int) -> None:
-        """These were sent, the first of a burst that was admitted: what follows is held against them."""
         for frame in frames:
             self.counters[frame.can_id] = frame.data[6] >> 4
             self._times_ns[frame.can_id].append(now_ns)
@@ -167,7 +166,7 @@ class Gate:
             self._before, self._before_ns = motion, now_ns
 
     def pause(self) -> None:
-        """Nothing is sent, on purpose: somebody else may command meanwhile, and what follows begins anew."""
+        """Note an intended pause: others may command meanwhile, so the next burst has no predecessor."""
         self._before = None
 
     def _frame_fault(self, frame: Frame, now_ns: int) -> str:
@@ -201,9 +200,9 @@ def motion_fault(motion: MotionBurst, variant: Variant) -> str:
     rules = (
         (motion.gear in GEARS, "this gear is not commanded"),
         (motion.angle_raw in ANGLE_RAW, "the angle is beyond 24 deg"),
-        (motion.speed_raw <= SPEED_RAW_MAX[variant], "the speed is beyond what this variant may be told"),
+        (motion.speed_raw <= SPEED_RAW_MAX[variant], "the speed is beyond the limit of this variant"),
         (motion.enables in ENABLES, "the five enables differ"),
-        # Disabled is neutral, neutral is parked, parked is at zero speed: each of these follows from the next.
+        # Disabled is neutral, neutral is parked, parked is at zero speed: each row implies the next.
         (motion.gear == NEUTRAL or motion.enables, "a gear without the enables"),
         (motion.gear != NEUTRAL or motion.parking, "neutral without the parking brake"),
         (not moves or not motion.parking, "a speed against the parking brake"),
@@ -215,7 +214,7 @@ def motion_fault(motion: MotionBurst, variant: Variant) -> str:
 def step_fault(
     motion: MotionBurst, before: MotionBurst | None, variant: Variant, *, stopping: bool, may_release: bool
 ) -> str:
-    """Return the fault of the step from the burst before, None out of silence; empty if there is none."""
+    """Return the fault of the step from the previous burst (None after silence); empty if there is none."""
     if before is None:
         return "" if stopping or motion.parking else "released out of silence"
     moves = motion.speed_raw > 0
@@ -225,7 +224,7 @@ def step_fault(
     rules = (
         (motion.speed_raw - before.speed_raw <= rise_raw, "the speed rises too fast"),
         (abs(motion.angle_raw - before.angle_raw) <= ANGLE_STEP_RAW, "the angle changes too fast"),
-        # Parked is at zero speed: this keeps the gear at speed as well.
+        # Parked is at zero speed, so the gear cannot change at speed either.
         (not shifts or motion.parking & before.parking, "the gear changes without the parking brake"),
         (not shifts or NEUTRAL in {motion.gear, before.gear}, "the direction changes without neutral"),
         (not releases or not stopping or may_release, "a stop releases the parking brake"),

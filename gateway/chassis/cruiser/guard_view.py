@@ -48,7 +48,6 @@ class ChassisView:
         self.commander_ns: int | None = None
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """A frame came from the bus."""
         command = self._commands.get(frame.can_id)
         if command is not None:
             if check(frame) is None:
@@ -60,7 +59,7 @@ class ChassisView:
         if layout is None or check(frame) is not None:
             return
         before = self._latest.get(layout.name)
-        # A frame that only repeats its counter says nothing new, and becomes stale like one that stays away.
+        # A frame that repeats its counter carries no news, and becomes stale like a missing one.
         if before is None or before[0][6] >> 4 != frame.data[6] >> 4:
             self._latest[layout.name] = (frame.data, now_ns)
             if layout.name == BODY:
@@ -69,17 +68,14 @@ class ChassisView:
                 )
 
     def has_feedback(self, now_ns: int) -> bool:
-        """Feedback comes."""
         return any(now_ns - heard_ns < GUARD_SILENT_NS for _, heard_ns in self._latest.values())
 
     def mode(self, now_ns: int) -> Mode:
-        """Return the mode; UNDEFINED if none is reported, or remote in a single frame only."""
         data = self._fresh(BODY, now_ns)
         mode = Mode.UNDEFINED if data is None else _mode(self._body(data))
         return Mode.UNDEFINED if mode is Mode.REMOTE and self._remote_frames < REMOTE_FRAMES else mode
 
     def stands(self, variant: Variant, now_ns: int) -> bool:
-        """The robot was slow whenever this was asked in the last 50 ms. False also when that cannot be seen."""
         if not self._is_slow(variant, now_ns):
             self._slow_since_ns = None
             return False
@@ -88,56 +84,45 @@ class ChassisView:
         return now_ns - self._slow_since_ns >= _STANDS_NS
 
     def gear(self, now_ns: int) -> GearPosition:
-        """The gear feedback."""
         data = self._fresh(GEAR, now_ns)
         told = "" if data is None else str(self._read[Variant.COARSE][GEAR](data)["GearPosition"])
         return _GEARS.get(told, GearPosition.UNDEFINED)
 
     def angle_deg(self, now_ns: int) -> float:
-        """The steering feedback; straight ahead if there is none."""
         data = self._fresh(STEERING, now_ns)
         return 0.0 if data is None else float(self._read[Variant.COARSE][STEERING](data)["Angle"])
 
     def slowest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """Return the lowest speed that a sensor shows, a magnitude: no single faulty one sets the robot going.
-
-        None if there is no drive feedback, or the scale is not known.
-        """
         drive_mps, wheels_mps = self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns)
         return drive_mps if drive_mps is None or wheels_mps is None else min(drive_mps, wheels_mps)
 
     def fastest_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """Return the higher speed of drive feedback and wheels, a magnitude; None if neither shows any."""
         speeds = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
         return max((speed for speed in speeds if speed is not None), default=None)
 
     def wheel_speed_mps(self, variant: Variant, now_ns: int) -> float | None:
-        """Return the mean speed of the rear wheels, m/s, forward positive; None if they do not report it."""
         wheels = self._wheels_mps(variant, now_ns)
         return None if wheels is None else sum(wheels) / 2
 
     def moves(self, variant: Variant, now_ns: int) -> bool:
-        """The robot is seen to move; by raw drive feedback and wheel speeds where their scale is not known."""
+        """The robot is seen to move; by raw drive feedback and wheel speeds if their scale is unknown."""
         if variant is not Variant.UNKNOWN:
             return (self.fastest_mps(variant, now_ns) or 0.0) > STANDSTILL_MPS
         drive, wheels = self._fresh(DRIVE, now_ns), self._fresh(WHEEL_SPEED, now_ns)
         turns = drive is not None and int.from_bytes(drive[1:3], "little") >= TURNING_RAW_MIN
-        # What each variant calls standing is many m/s in the other, or not a wheel speed at all.
+        # Standstill in one variant is many m/s in the other, or no wheel speed at all.
         return turns or (
             wheels is not None and bool(wheels[0] & 1) and self._evidence.of(wheels) is Variant.UNKNOWN
         )
 
     def is_braked(self, now_ns: int) -> bool | None:
-        """True if the parking brake reads applied; None if it is not reported."""
         data = self._fresh(PARKING, now_ns)
         return None if data is None else self._read[Variant.COARSE][PARKING](data)["ParkingStatus"] == "applied"
 
     def is_complete(self, now_ns: int) -> bool:
-        """All that a stop has to begin from: mode, gear, angle and speed."""
         return all(self._fresh(name, now_ns) is not None for name in (GEAR, STEERING, DRIVE, BODY))
 
     def evidence_data(self, now_ns: int) -> bytes | None:
-        """The latest wheel speed frame: evidence of the variant."""
         return self._fresh(WHEEL_SPEED, now_ns)
 
     def _is_slow(self, variant: Variant, now_ns: int) -> bool:
@@ -145,7 +130,7 @@ class ChassisView:
             wheels, drive = self._fresh(WHEEL_SPEED, now_ns), self._fresh(DRIVE, now_ns)
             if wheels is None or drive is None:
                 return False
-            # Zero is the same in both scales, and so is what each one's standing wheels cannot be in the other.
+            # Zero is the same in both scales, and standing wheels of one scale cannot be standing in the other.
             return not any(drive[1:3]) and self._evidence.of(wheels) is not Variant.UNKNOWN
         speeds_mps = (self._drive_mps(variant, now_ns), self._fastest_wheel_mps(variant, now_ns))
         return all(speed_mps is not None and speed_mps < STANDSTILL_MPS for speed_mps in speeds_mps)
@@ -158,7 +143,7 @@ class ChassisView:
 
     def _fastest_wheel_mps(self, variant: Variant, now_ns: int) -> float | None:
         wheels = self._wheels_mps(variant, now_ns)
-        # Each by itself: one that turns forward and one that turns back are no robot at rest.
+        # Each separately: a wheel forward and one backward are no standstill.
         return None if wheels is None else max(map(abs, wheels))
 
     def _wheels_mps(self, variant: Variant, now_ns: int) -> tuple[float, float] | None:

@@ -1,7 +1,4 @@
-"""The layouts of the DBC files as a file: ``python -m gateway.chassis.cruiser.layout_file`` writes it.
-
-The one reading of bits, scales, units and cycle times, by cantools, of which nothing else has need.
-"""
+"""The file of layouts, read from the DBC files: ``python -m gateway.chassis.cruiser.layout_file`` writes it."""
 
 from __future__ import annotations
 
@@ -19,13 +16,13 @@ from schemas.cruiser import DBC_FILES, dbc_text
 from schemas.messages import Variant
 
 CHASSIS_NODE: Final = "Chassis"
-"""The node that sends the feedback; whatever another one sends is a command."""
+"""The node that sends the feedback; all other frames are commands."""
 
 FILE: Final = Path(__file__).with_name(LAYOUTS)
 
 
 def layouts_text() -> str:
-    """Return what the file has to say. Raises ValueError."""
+    """Return the contents of the file. Raises ValueError."""
     layouts = {
         variant: ReadLayout(digest(variant), read_layout(variant, dbc_text(variant))) for variant in DBC_FILES
     }
@@ -33,7 +30,7 @@ def layouts_text() -> str:
 
 
 def read_layout(variant: Variant, dbc: str) -> ChassisLayout:
-    """Read the layout of a variant from its DBC. Raises ValueError: it says something that is not implemented."""
+    """Read the layout of a variant from its DBC. Raises ValueError: it has a feature that is not implemented."""
     database = Database()
     database.add_dbc_string(dbc)
     return ChassisLayout(variant, {message.name: _message(message) for message in database.messages})

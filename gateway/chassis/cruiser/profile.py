@@ -1,7 +1,4 @@
-"""The Cruiser as one value, ``CRUISER``: short, since it only gathers what the modules beside it make.
-
-Nothing but ``gateway.choice`` has to know it.
-"""
+"""The Cruiser as one value, ``CRUISER``, which only ``gateway.choice`` imports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chassis as the arbiter sees it, from the telemetry flow: the one place where the two flows touch. Pure."""
+"""The chassis as the arbiter sees it, made from telemetry: the only link between the two flows. Pure."""
 
 from __future__ import annotations
 
@@ -47,30 +47,28 @@ _Kind = TypeVar("_Kind", bound=Feedback)
 
 
 class ChassisTracker:
-    """Makes the chassis's state of the newest feedback, each tick."""
+    """Makes the chassis's state from the newest feedback, each tick."""
 
     def __init__(self, streams: Iterable[FeedbackRow], detector: VariantDetector, required: Iterable[str]) -> None:
-        """Nothing was seen yet; without the ``required`` frames the robot is not commanded."""
+        """Start without feedback. Without the ``required`` frames the robot is not commanded."""
         self._streams = {stream.layout.name: stream for stream in streams}
         self._required = {name: self._streams[name] for name in required}
         self._encoders = Encoders()
         self._hits = [False, False]
         self._detector = detector
-        # A frame that says that it is not valid is waited for as long as one that stays away.
+        # A frame marked as not valid may last as long as a missing one.
         self._patience_ns = {
             name: silence_ns(self._streams[name].layout.period_ns) for name in (WHEEL_SPEED, BODY)
         }
         self._valid_ns = dict.fromkeys(self._patience_ns, 0)
 
     def note_hits(self) -> None:
-        """A body frame came: a bumper that it says was hit counts at the next tick, whatever comes after it."""
         body = self._latest(BODY, Body)
         if body is not None:
             self._hits[0] |= body.front_bumper
             self._hits[1] |= body.rear_bumper
 
     def follow(self, message: Feedback | None, odometry: DeadReckoning) -> None:
-        """A feedback message came: the odometry goes on with what it, and those beside it, say."""
         if isinstance(message, Drive):
             wheels, gear = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(GEAR, Gear)
             steering = self._latest(STEERING, Steering)
@@ -82,7 +80,6 @@ class ChassisTracker:
     def state(
         self, controller: ControllerState, variant: Variant, commander_ns: int | None, now_ns: int
     ) -> ChassisState:
-        """The chassis now, but for what the loop knows of the bus and the guard."""
         wheels, body = self._latest(WHEEL_SPEED, WheelSpeed), self._latest(BODY, Body)
         drive, gear = self._latest(DRIVE, Drive), self._latest(GEAR, Gear)
         steering = self._latest(STEERING, Steering)
@@ -130,7 +127,7 @@ class ChassisTracker:
     def _faulty(self, now_ns: int) -> Iterable[str]:
         for name, stream in self._required.items():
             supervisor = stream.supervisor
-            # Nearly always there was none yet, and this is asked of each frame in every tick.
+            # This runs for each frame in every tick, and nearly always there was no fault.
             checksums = supervisor.checksums
             if supervisor.alive.has_failed or (checksums.faults and checksums.has_failed(now_ns)):
                 yield name
@@ -142,39 +139,36 @@ class ChassisTracker:
                 yield name
 
     def _turns(self, now_ns: int) -> bool | None:
-        """Return whether the drive feedback is not zero, in whatever scale: in motion no variant shows.
-
-        Where there is none, the wheels tell.
-        """
+        """Return True if the drive feedback is not zero, in any scale; by the wheels if there is none."""
         drive, wheels = self._streams[DRIVE], self._streams[WHEEL_SPEED]
         if drive.data is not None:
             return int.from_bytes(drive.data[1:3], "little") >= TURNING_RAW_MIN
         if drive.supervisor.implausible.has_failed(now_ns):
-            # Beyond what this chassis can do is not zero either, as it reads where the wrong scale is configured.
+            # Implausible speeds, as read in a wrong scale, are not zero either.
             return True
         return None if wheels.data is None else self._detector.evidence.turns(wheels.data)
 
 
 class Encoders:
-    """Reads from wheel pulses whether and where the robot goes, without knowing how far a pulse is."""
+    """Reads the direction of motion from wheel pulses of unknown length."""
 
     def __init__(self) -> None:
         self._before: WheelPulse | None = None
-        # What was counted from one frame to the next, and over how many periods: frames may be lost.
+        # Counts from one frame to the next, and their periods, because frames may be lost.
         self._counted: deque[tuple[int, int]] = deque(maxlen=PULSES_MOVING_FRAMES)
         self._direction = 0
-        # Pulses one way while it creeps, and periods since the last of them.
+        # Pulses in one direction while it creeps, and periods since the last of them.
         self._crept = self._pause = 0
 
     def direction(self, pulses: WheelPulse | None) -> int:
-        """1 forward, -1 backward: both wheels together count that way in many frames, and no slower; else 0.
+        """1 forward, -1 backward: both wheels together count that way in many frames, steadily; else 0.
 
-        A robot on its last centimetres to standstill counts slower and slower, and does not roll.
+        A robot that comes to rest counts slower and slower, and does not roll.
         """
         if pulses is None or not pulses.valid:
             self._before, self._direction, self._crept = None, 0, 0
             self._counted.clear()
-        elif pulses != self._before:  # By value: a core that resumes has two objects of one frame.
+        elif pulses != self._before:  # By value: a resumed core has two objects of one frame.
             if self._before is not None:
                 count = _counted(pulses, self._before)
                 periods = max(1, (pulses.alive_counter - self._before.alive_counter) % COUNTER_SPAN)
@@ -186,7 +180,7 @@ class Encoders:
 
     @property
     def creeps(self) -> int:
-        """1 forward, -1 backward: both wheels together have counted that way for a while, and slowly; else 0."""
+        """1 forward, -1 backward: both wheels together have counted that way slowly for a while; else 0."""
         return _sign(self._crept) if abs(self._crept) >= CREEP_PULSES else 0
 
     def _creep(self, count: int, periods: int) -> None:
@@ -238,6 +232,6 @@ def _fastest_mps(wheels: WheelSpeed | None) -> float | None:
     return max(abs(wheels.rear_left_speed_mps), abs(wheels.rear_right_speed_mps))
 
 
-def _bumper(body: Body, is_pressed: bool) -> bool | None:  # noqa: FBT001 - it is what the frame says
-    """A hit counts although the frame says that it is not valid; that nothing was hit does not."""
+def _bumper(body: Body, is_pressed: bool) -> bool | None:  # noqa: FBT001 - a field of the frame
+    """A hit counts even in a frame marked as not valid; a clear bumper does not."""
     return is_pressed if body.valid else is_pressed or None

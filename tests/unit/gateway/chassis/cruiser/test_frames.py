@@ -100,7 +100,7 @@ def test_a_layout_of_another_dbc_is_not_used(monkeypatch: pytest.MonkeyPatch) ->
     changed = dbc_text(Variant.FINE).replace("(0.001,0)", "(0.002,0)")
     assert changed != dbc_text(Variant.FINE)
     monkeypatch.setattr(layout_module, "dbc_text", lambda _: changed)
-    with pytest.raises(ValueError, match=r"was not made of this cruiser-fine\.dbc; 'make generate' makes it anew"):
+    with pytest.raises(ValueError, match=r"was not made from this cruiser-fine\.dbc; run 'make generate'"):
         load(Variant.FINE)
 
 
