@@ -6,6 +6,8 @@ On Debian: `apt-get install chromium fonts-wqy-microhei`.
 - ``demo.svg``    the demo in a terminal, and why the robot stopped, as the commands print it
 - ``report.png``  the top of the same demo's drive report
 - ``desk.png``    the desk with a virtual fleet: the overview, and below it a robot that drives
+
+Each PNG describes itself by its page's text; a test compares that, and the SVG's, with what is shown now.
 """
 
 import io
@@ -20,7 +22,8 @@ from pathlib import Path
 from typing import Final
 
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from PIL.PngImagePlugin import PngInfo
+from playwright.sync_api import FloatRect, Page, sync_playwright
 from rich.console import Console
 from rich.terminal_theme import MONOKAI
 from rich.text import Text
@@ -31,8 +34,9 @@ COLUMNS: Final = 138
 WIDTH, HEIGHT = 1200, 1420
 DESK_WIDTH, DESK_HEIGHT = 1200, 760
 ROBOTS: Final = 4
-DRIVE: Final = ("drive", "cruiser-1", "--speed", "0.6", "--angle", "18", "--seconds", "600")
+DRIVE: Final = ("drive", "cruiser-1", "--speed", "0.6", "--angle", "18", "--seconds", "600", "--operator", "ann")
 DRIVEN_MS: Final = 10_000  # how long the robot has driven in the picture
+SETTLED_MS: Final = 1_000  # until the report has drawn its charts
 DEADLINE_MS: Final = 300_000
 
 
@@ -63,11 +67,22 @@ def chromium() -> str:
     return browser
 
 
-def report(page: Path, picture: Path) -> None:
+def report(file: Path, picture: Path) -> None:
     """The drive report as a browser shows it in the light theme."""
-    flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=10000")
-    size = (f"--window-size={WIDTH},{HEIGHT}", f"--screenshot={picture}")
-    subprocess.run([chromium(), *flags, *size, page.as_uri()], check=True, stderr=subprocess.DEVNULL)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme="light")
+        page.goto(file.as_uri())
+        page.wait_for_timeout(SETTLED_MS)
+        save(Image.open(io.BytesIO(page.screenshot())), picture, page.inner_text("body"))
+        browser.close()
+
+
+def save(image: Image.Image, picture: Path, text: str) -> None:
+    """Write a picture of few colours, with its text as its description."""
+    described = PngInfo()
+    described.add_text("Description", text, zip=True)
+    image.convert("RGB").quantize(128).save(picture, optimize=True, pnginfo=described)
 
 
 def desk(where: Path, picture: Path) -> None:
@@ -88,8 +103,9 @@ def desk(where: Path, picture: Path) -> None:
                 page.set_default_timeout(DEADLINE_MS)
                 _stopped(page, address[0])
                 with subprocess.Popen([sys.executable, "-m", "gateway", *DRIVE], env=environment) as drive:
-                    driven = _driven(page)
-                    stack(_fleet(page), driven, picture)
+                    driven, below = _driven(page)
+                    fleet, above = _fleet(page)
+                    save(stacked(fleet, driven), picture, f"{above}\n{below}")
                     drive.send_signal(signal.SIGINT)
                 browser.close()
         finally:
@@ -106,34 +122,38 @@ def _stopped(page: Page, address: str) -> None:
     page.get_by_role("link", name="Fleet").click()
 
 
-def _driven(page: Page) -> bytes:
-    """The page of a robot that has driven for a while and still does."""
+def _driven(page: Page) -> tuple[bytes, str]:
+    """The page of a robot that has driven for a while and still does, and its text."""
     driving = page.locator(".band .word", has_text="driving")
     while True:
         page.locator("tr", has_text="driving").get_by_role("link").click()
         page.wait_for_timeout(DRIVEN_MS)
         # Whoever looks at a picture holds no pad.
         page.locator(".drive").evaluate("panel => { panel.hidden = true; }")
-        picture = page.screenshot()
+        picture, text = page.screenshot(), page.inner_text("main")
         was_driving = driving.is_visible()
         page.get_by_role("link", name="Fleet").click()
         if was_driving:
-            return picture
+            return picture, text
 
 
-def _fleet(page: Page) -> bytes:
+def _fleet(page: Page) -> tuple[bytes, str]:
     page.locator("tr", has_text="driving").wait_for()
-    bottom = page.locator("main").bounding_box() or {}
-    return page.screenshot(clip={"x": 0, "y": 0, "width": DESK_WIDTH, "height": bottom["y"] + bottom["height"]})
+    main = page.locator("main")
+    box = main.bounding_box()
+    if box is None:
+        raise SystemExit("the desk shows nothing")
+    clip: FloatRect = {"x": 0, "y": 0, "width": DESK_WIDTH, "height": box["y"] + box["height"]}
+    return page.screenshot(clip=clip), main.inner_text()
 
 
-def stack(above: bytes, below: bytes, picture: Path) -> None:
-    """One picture of two, with few colours."""
+def stacked(above: bytes, below: bytes) -> Image.Image:
+    """One picture of two."""
     images = [Image.open(io.BytesIO(one)).convert("RGB") for one in (above, below)]
     both = Image.new("RGB", (DESK_WIDTH, sum(one.height for one in images)), "white")
     both.paste(images[0], (0, 0))
     both.paste(images[1], (0, images[0].height))
-    both.quantize(128).save(picture, optimize=True)
+    return both
 
 
 def main() -> None:
@@ -143,7 +163,7 @@ def main() -> None:
         demo = cruiser("demo", "--seconds", "30", "--out", "demo-log", where=where)
         [stop] = re.findall(r"^ *([\d.]+) s +robot +stopping: the front bumper", demo, flags=re.MULTILINE)
         why = ("review", "why", "demo-log", "--at", stop)
-        screens = [("make demo", demo.partition("open it with")[0]), (f"cruiser {' '.join(why)}", "")]
+        screens = [("make demo", demo.partition("open it in")[0]), (f"cruiser {' '.join(why)}", "")]
         screens[1] = (screens[1][0], cruiser(*why, where=where))
         (PICTURES / "demo.svg").write_text(terminal(screens, "Cruiser Gateway"), "utf-8")
         cruiser("review", "report", "demo-log", "-o", "report.html", where=where)
