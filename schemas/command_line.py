@@ -94,10 +94,10 @@ def check_regular(path: PurePath, mode: int) -> None:
 
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
-    "upload.hours": "a systemd timer has the hours, see docs/recording.md",
+    "upload.hours": "limit the hours with a systemd timer: see docs/recording.md",
     "command.brake_pedal_percent": "the brake pedal is never pressed",
-    "authority.max_offline_h": "a robot is engaged however long its authority was silent; give grants of hours",
-    "authority.require_fresh": "a robot waits for no word of its authority; give grants of hours",
+    "authority.max_offline_h": "issue grants of hours: a robot needs no contact with its authority",
+    "authority.require_fresh": "issue grants of hours: a robot needs no contact with its authority",
 }
 """Settings that were removed, by dotted key: what to use instead.
 

@@ -1,7 +1,7 @@
-"""Peers of a server of ours, and rates that they are held to. Pure: the server's own loop asks.
+"""Limits on the peers of a server: connections and rates. Pure.
 
-A peer is an address. All behind one proxy share one, and all on one machine. So each connection is bounded by
-itself too, and one that is of use keeps its place.
+A peer is an address, which clients behind one proxy or on one machine share. So each connection has limits too,
+and one that is in use is not closed for another.
 """
 
 from __future__ import annotations
@@ -10,20 +10,19 @@ import ipaddress
 from collections import Counter
 from typing import Final, Generic, TypeVar
 
-BURST_S: Final = 0.1  # a pause is caught up by no more than this: nothing comes in a flood behind it
+BURST_S: Final = 0.1  # longest pause that a sender may catch up
 
 
 class RateLimit:
-    """A rate that is not exceeded."""
+    """A limit on a rate."""
 
     def __init__(self, per_s: float, burst_s: float = BURST_S) -> None:
         self.per_s = per_s
         self._burst_s = burst_s
-        self._free_s = 0.0
-        """From when on more may go."""
+        self._free_s = 0.0  # time from which more may be taken
 
     def delay_s(self, count: float, now_s: float) -> float:
-        """Take so many. Returns the time to wait behind them."""
+        """Take this many. Returns the time to wait afterwards."""
         if not self.per_s:
             return 0.0
         self._free_s = max(self._free_s, now_s - self._burst_s) + count / self.per_s
@@ -31,34 +30,23 @@ class RateLimit:
 
 
 CONNECTIONS_MAX: Final = 256
-PEER_CONNECTIONS_MAX: Final = 128  # connections that are open, of all and of one peer
-
-FILES_SHARE: Final = 0.5
-"""The part of the files that this process may open that connections may take. Zenoh and the logs have the rest."""
-
+PEER_CONNECTIONS_MAX: Final = 128  # open connections, of all peers and of one
+FILES_SHARE: Final = 0.5  # share of the process's file descriptors for connections; the rest is for Zenoh and logs
 CONNECTS_PER_S: Final = 100.0
-PEER_CONNECTS_PER_S: Final = 50.0  # connections that are taken in, of all and of one peer
-
-CONNECT_BURST_S: Final = 2.0
-"""... after a pause of this time so many at once as it would have had room for."""
-
-REQUEST_S: Final = 10.0  # within this time a connection asks for something; it counts anew from each answer
-
-FRAME_BYTES: Final = 512
-"""A frame of a WebSocket, and a piece that is read, counts as so many bytes besides what it carries."""
-
-SOCKET_BYTES_PER_S: Final = 65_536
+PEER_CONNECTS_PER_S: Final = 50.0  # accepted connections, of all peers and of one
+CONNECT_BURST_S: Final = 2.0  # longest pause that these rates may catch up
+REQUEST_S: Final = 10.0  # time for a connection's next request, from its start or from the last answer
+FRAME_BYTES: Final = 512  # cost of a WebSocket frame, and of a piece that is read, besides its content
+SOCKET_BYTES_PER_S: Final = 65_536  # read from a WebSocket; a page that drives sends 50 messages of 0.4 kB
 SOCKET_BURST_S: Final = 1.0
-"""Bytes of a WebSocket that are read. A page that drives says 50 messages a second, of 0.4 kB each."""
-
-PORTION_BYTES: Final = 8 * FRAME_BYTES  # bytes of one connection that are read before it is the turn of others
-PIECES_MAX: Final = 64  # pieces that a message of a WebSocket may have. Browsers do not cut them up
+PORTION_BYTES: Final = 8 * FRAME_BYTES  # read from a connection before the next one's turn
+PIECES_MAX: Final = 64  # frames of a WebSocket message; browsers send one
 
 Connection = TypeVar("Connection")
 
 
 def peer_of(host: str) -> str:
-    """The peer that an address belongs to: a network of IPv6 has 2**64 addresses, and is one peer."""
+    """The peer of an address; an IPv6 network of 2**64 addresses is one peer."""
     address = ipaddress.ip_address(host.partition("%")[0])
     if isinstance(address, ipaddress.IPv4Address):
         return str(address)
@@ -74,8 +62,8 @@ def most_connections(files: int) -> int:
 class Peers(Generic[Connection]):
     """The connections of a server.
 
-    Where there is no room, a new one takes the place of the oldest that asks for nothing: of its own peer, or of
-    the peer that has the most. So no connections without a request keep anybody out.
+    At a limit, a new one replaces the oldest idle connection, of its own peer or of the peer with the most: idle
+    connections cannot keep clients out.
     """
 
     def __init__(self, most: int) -> None:
@@ -85,18 +73,17 @@ class Peers(Generic[Connection]):
         self._rates: dict[str, RateLimit] = {}
         self._peers: dict[Connection, str] = {}
         self._counts: Counter[str] = Counter()
-        self._silent: dict[Connection, None] = {}
-        """Those that ask for nothing, the oldest first."""
+        self._silent: dict[Connection, None] = {}  # idle connections, the oldest first
 
     def __len__(self) -> int:
         return len(self._peers)
 
     def pause_s(self, now_s: float) -> float:
-        """The time in which nobody is taken in: too many came."""
+        """The time until the next connection may be accepted."""
         return self._rate.delay_s(0, now_s)
 
     def enter(self, connection: Connection, peer: str, now_s: float) -> list[Connection] | None:
-        """Take a connection in. Returns those to be cut for it, which have left; None if it cannot be taken in."""
+        """Accept a connection. Returns the removed ones, which are to be closed; None if it is not accepted."""
         rate = self._rates.setdefault(peer, RateLimit(PEER_CONNECTS_PER_S, CONNECT_BURST_S))
         if rate.delay_s(0, now_s):
             return None
@@ -117,7 +104,7 @@ class Peers(Generic[Connection]):
         return gone
 
     def asks(self, connection: Connection) -> None:
-        """It has asked for something, and keeps its place until it is answered."""
+        """Mark a connection as in use until its request is answered."""
         self._silent.pop(connection, None)
 
     def rests(self, connection: Connection) -> None:
@@ -125,21 +112,21 @@ class Peers(Generic[Connection]):
             self._silent[connection] = None
 
     def leave(self, connection: Connection) -> None:
-        """It has ended, however often that is said."""
+        """Remove a connection; may be called again."""
         peer = self._peers.pop(connection, None)
         self._silent.pop(connection, None)
         if peer is not None:
             self._counts[peer] -= 1
 
     def _forget(self) -> None:
-        """Forget peers that have gone: there are very many addresses."""
+        """Forget peers without connections, since there are very many addresses."""
         if len(self._rates) > 2 * CONNECTIONS_MAX:
             self._counts = +self._counts
             self._rates = {peer: rate for peer, rate in self._rates.items() if peer in self._counts}
 
 
 class SocketFrames:
-    """Where the frames of a WebSocket begin and end, by their heads (RFC 6455, 5.2)."""
+    """Finds the frames of a WebSocket by their headers (RFC 6455, 5.2)."""
 
     def __init__(self) -> None:
         self._head = bytearray()
@@ -147,7 +134,7 @@ class SocketFrames:
         self.pieces = 0
 
     def portion(self, data: bytes | bytearray) -> tuple[int, int]:
-        """Return the bytes at the beginning that make a portion, and how many they count as."""
+        """Return the length of a portion at the beginning of the data, and its cost."""
         place = cost = 0
         while place < len(data) and cost < PORTION_BYTES:
             if self._left:

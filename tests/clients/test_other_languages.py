@@ -30,7 +30,7 @@ ROBOT = "fleet/cruiser-1"
 CLIENTS = pytest.mark.parametrize("client", ["rust", "typescript"])
 
 STANDS = {"no_lease", "not_engaged"}
-"""Why a robot stands that nobody drives, and nothing else."""
+"""Reasons for which an idle robot stands."""
 
 Done = subprocess.CompletedProcess[str]
 
@@ -148,10 +148,10 @@ def test_a_client_of_another_authority_gets_no_lease(
 
 
 class Impostor:
-    """A robot that was taken over, and speaks as another: unsigned, and with what that one signed a while ago.
+    """A compromised robot that poses as another, unsigned, and with what that one signed earlier.
 
     Attributes:
-        asked: the keys that it was asked on, and how many bytes the proof of each request had.
+        asked: the keys of received queries, with the size of each proof in bytes.
     """
 
     def __init__(self, directory: Path, own: str) -> None:

@@ -1,4 +1,4 @@
-"""``make fuzz``: every target in a process of its own, for its share of the time; findings stay in build/fuzz.
+"""``make fuzz``: every target in its own process for its share of the time; findings are in build/fuzz.
 
 Usage: python -m tests.fuzz [--seconds N] [--jobs N] [--target NAME ...]
 
@@ -21,8 +21,6 @@ from tests.fuzz.targets import BY_NAME, TARGETS, Target
 ROOT: Final = Path(__file__).parents[2]
 FOUND: Final = ROOT / "build" / "fuzz"
 LONGEST_S: Final = 10
-"""An input that takes longer is a finding: the gateway's loop has 10 ms."""
-
 MEMORY_MB: Final = 1024
 INPUT_BYTES: Final = 20_000
 """A little more than the longest statement; larger than the logs of the seeds."""
@@ -55,7 +53,7 @@ def fuzz(target: Target, seconds: int) -> bool:
     runs = re.search(r"stat::number_of_executed_units: (\d+)", done.stderr)
     print(f"{target.name:16} {int(runs[1]) if runs else 0:>10,} runs in {seconds} s", flush=True)
     if done.returncode:
-        # The exception is on the one, what libFuzzer says of it on the other.
+        # The exception is on stdout, libFuzzer's report on stderr.
         print(done.stdout[-2000:], done.stderr[-1000:], flush=True)
     return done.returncode == 0
 

@@ -1,8 +1,7 @@
-"""What parses the bytes of strangers: each a function of bytes, with seeds that are right and a rule for others.
+"""Targets of the fuzzer: functions of untrusted bytes, each with valid seeds and a rule.
 
-A target raises where its rule is broken: an exception that nobody promises, something accepted that nobody signed,
-or a value that does not come back from its own bytes. Keys are made from names, so the same bytes mean the same in
-each process.
+A target raises if its rule is broken: an unexpected exception, an unsigned statement accepted, a value that is not
+restored from its own bytes. Keys are derived from names, so that every process has the same.
 """
 
 from __future__ import annotations
@@ -85,14 +84,6 @@ NS: Final = 1_000_000_000
 
 
 class Target(msgspec.Struct, frozen=True):
-    """What is fuzzed.
-
-    Attributes:
-        name: of the target.
-        run: raises if a rule is broken.
-        seeds: bytes that are as they should be.
-    """
-
     name: str
     run: Callable[[bytes], None]
     seeds: Sequence[bytes]
@@ -131,7 +122,7 @@ SIGNED: Final = {
         FLEET.standby.rotate(1, FLEET.standby, FLEET.authority),
     )
 }
-"""All that anybody ever signed."""
+"""All signed statements."""
 
 
 def _age(challenge: bytes, _now_ns: int) -> int | Reason:
@@ -142,7 +133,7 @@ def _age(challenge: bytes, _now_ns: int) -> int | Reason:
 
 
 def statements(data: bytes) -> None:
-    """Chains: each that is read comes back from its text, and nothing holds that was not signed."""
+    """A chain that is read has the same text again; only signed grants are valid."""
     chain = read_chain(data)
     if isinstance(chain, StatementFault):
         return
@@ -157,7 +148,7 @@ def statements(data: bytes) -> None:
 
 
 def shown(data: bytes) -> None:
-    """What is shown to a robot: it always replies, and nothing changes what it believes but what was signed."""
+    """A robot replies to every statement, and accepts signed ones only."""
     text = data.decode("utf-8", "replace")
     bench = AuthorityBench(FLEET)
     said = bench.show(text)
@@ -169,14 +160,14 @@ def shown(data: bytes) -> None:
 
 
 def attachments(data: bytes) -> None:
-    """Proofs: each that is read gives its own bytes again."""
+    """A proof that is read has the same bytes again."""
     for kind in (RequestProof, DriveProof, RobotProof):
         proof = kind.read(data)
         assert proof is None or proof.attachment() == data
 
 
 class _Door:
-    """A robot's door that knows ann, and gave ann a lease."""
+    """A robot's admission that knows ann and gave ann a lease."""
 
     def __init__(self) -> None:
         self.admission = SignedAdmission(
@@ -201,7 +192,7 @@ class _Door:
         self.begin_tick()
 
     def begin_tick(self) -> None:
-        """A tick so much later that no nonce is remembered."""
+        """Begin a tick so much later that all nonces are forgotten."""
         self.now_ns += 10 * NS
         self.admission.begin_tick(self.now_ns)
 
@@ -228,11 +219,11 @@ PROVEN: Final = {
         for payload in (b"", b"\x80")
     ),
 }
-"""All requests that ann ever proved, up to their signatures."""
+"""All requests that ann signed, up to their signatures."""
 
 
 def requests(data: bytes) -> None:
-    """Requests at a robot's door: accepted is what ann proved, to the letter, and every query gets its reply."""
+    """Only requests that ann signed are accepted, and every query gets a reply."""
     if len(data) < 3:
         return
     verb, operator = VERBS[data[0] % len(VERBS)], OPERATORS[data[1] % len(OPERATORS)]
@@ -242,10 +233,10 @@ def requests(data: bytes) -> None:
     DOOR.admission.may_be_holders(verb, payload, attachment)
     credentials = DOOR.admission.admit(raw, DOOR.now_ns).credentials
     assert credentials is not None
-    # The tag behind a verb's signature gives a place before others, and lets nobody in: any is as good as none.
+    # The tag after a verb's signature gives priority only, so any tag is as good as none.
     signed = attachment[:89] if len(attachment) == 105 else attachment
     is_proven = (verb, operator, signed, payload) in PROVEN
-    # A drive's tag is for its holder's key alone; whose name the key expression has is the arbiter's to compare.
+    # A drive's tag is checked with the lease's key; the arbiter compares the operator's name.
     is_proven |= verb == "drive" and (verb, "ann", attachment, payload) in PROVEN
     assert (credentials.reason is Reason.NONE) == is_proven, (verb, operator, credentials)
     DOOR.admission.reply(PendingReply(7, verb, b"\x80" if verb not in {"acquire", "take"} else REFUSED_LEASE))
@@ -271,7 +262,7 @@ STATE: Final = RobotSigner(ROBOT_PARTY.private, BOOT).publication("fleet/cruiser
 
 
 def replies(data: bytes) -> None:
-    """What an operator gets from a robot: believed is what the robot signed, to the letter."""
+    """An operator accepts only what the robot signed."""
     if not data:
         return
     attachment, payload = data[1 : 1 + data[0]], data[1 + data[0] :]
@@ -284,7 +275,7 @@ def replies(data: bytes) -> None:
 
 
 def payloads(data: bytes) -> None:
-    """Payloads of all subjects and verbs: what is read comes back from its own bytes."""
+    """A payload that is read is restored from its own bytes."""
     if not data:
         return
     kind = KINDS[data[0] % len(KINDS)]
@@ -301,7 +292,7 @@ def _decoded(kind: Subject | Verb[Any], payload: bytes) -> Message | Request | P
 
 
 def key_expressions(data: bytes) -> None:
-    """Keys: each that is read is built again from its parts."""
+    """A key that is parsed is built again from its parts."""
     key = data.decode("utf-8", "replace")
     parts = keys.parse(key)
     if parts is not None and parts.robot:
@@ -318,7 +309,7 @@ def key_expressions(data: bytes) -> None:
 
 
 def candump_lines(data: bytes) -> None:
-    """Lines of candump: frames that a bus can carry."""
+    """Lines of candump give frames that a bus can carry."""
     line = decode.parse(data.decode("utf-8", "replace"))
     if line is not None:
         assert len(line.frame.data) <= 64
@@ -326,7 +317,7 @@ def candump_lines(data: bytes) -> None:
 
 
 def logs(data: bytes) -> None:
-    """Logs in any state: read whole, by the summary, and copied, which loses no message that is good."""
+    """A log in any state can be read, by its summary too, and copied without losing a good message."""
     stream, size = BytesIO(data), len(data)
     survey = recovery.survey(stream, size)
     assert 0 <= survey.end <= size
@@ -344,7 +335,7 @@ def logs(data: bytes) -> None:
 
 
 def orders(data: bytes) -> None:
-    """Requests to a recorder: each gets one reply, at the latest when the disk has had its time."""
+    """Each request to a recorder gets one reply."""
     if not data:
         return
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
@@ -361,7 +352,7 @@ SAMPLED: Final = SUBJECTS
 
 
 def samples(data: bytes) -> None:
-    """Samples of robots at a recorder: whatever they hold, it goes on."""
+    """A recorder records whatever a sample contains."""
     if not data:
         return
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
@@ -373,7 +364,7 @@ def samples(data: bytes) -> None:
 
 
 def browsers(data: bytes) -> None:
-    """Messages of a browser at the desk: each goes to one robot, under one name, by one verb."""
+    """A browser's message goes to one robot, under one name, by one verb."""
     listener, port = FakeDeskListener(), FakeCommandPort()
     hub = Hub(Settings(), listener, port)  # type: ignore[arg-type]
     browser = hub.join()
@@ -402,7 +393,6 @@ ORDERS: Final = (b"\x80", codec.encode(Mark("", "it swerved")))
 
 
 def _place(message: object, of: Sequence[Subject]) -> bytes:
-    """The byte that stands for a message's subject."""
     return bytes([next(number for number, one in enumerate(of) if one.type is type(message))])
 
 
@@ -456,8 +446,6 @@ SEEDS: Final[dict[Callable[[bytes], None], Sequence[bytes]]] = {
     ],
     samples: [_place(one, SAMPLED) + codec.encode(one) for one in MESSAGES],
 }
-"""Everything that is fuzzed."""
-
 TARGETS: Final = [Target(run.__name__, run, seeds) for run, seeds in SEEDS.items()]
 
 BY_NAME: Final = {target.name: target for target in TARGETS}

@@ -113,7 +113,7 @@ def test_nobody_is_an_operator_too(monkeypatch: pytest.MonkeyPatch) -> None:
     assert login_operator() == "operator"
 
 
-# Keys that a session is told of.
+# Declared keys.
 
 
 def test_each_key_is_declared_once_and_only_so_many_are() -> None:

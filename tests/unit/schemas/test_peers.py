@@ -1,4 +1,4 @@
-"""Who is connected to a server, and what each may say."""
+"""Limits on a server's connections and rates."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""What a newer version says is read as far as this one knows it, and never in a command."""
+"""Messages of a newer version are read as far as possible; commands are refused."""
 
 from enum import Enum
 

@@ -1,4 +1,4 @@
-"""Requests and bundles: what is proven in them, and that nothing that arrives is believed or raises."""
+"""Requests, bundles, and the Zenoh configuration of each role."""
 
 from __future__ import annotations
 
@@ -379,14 +379,14 @@ def test_the_table_is_the_oracle_of_the_tests_through_a_real_router() -> None:
     assert not any(who_may("ingress", "delete", key) for key in PUTS)
     own = [row for row in access_table("fleet", "cruiser-1") if TransportRole.ROBOT in row.roles]
     for key, askers in QUERIES.items():
-        # Whoever is asked as one of many replies under its own name.
+        # A robot replies under its own name, also to a query for many.
         reply = re.sub(r"^fleet/c?\$?\*/", f"{R}/", key)
         reaches = any("query" in row.messages and row.flow == "egress" and _includes(row.keys, key) for row in own)
         replies = any(
             "reply" in row.messages and row.flow == "ingress" and _includes(row.keys, reply) for row in own
         )
         answered = who_may("ingress", "query", key) & who_may("egress", "reply", reply)
-        # The router does not know robots' names: each may ask for its own.
+        # The router does not know the robots' names: each may query its own.
         robots = ROBOTS if key.endswith("gateway/info") else set()
         assert (answered if reaches and replies else set()) | robots == askers | robots, key
     for key, said_by in TOKENS.items():

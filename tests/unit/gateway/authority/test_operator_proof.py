@@ -1,4 +1,4 @@
-"""The operator's half against the robot's: what each believes of the other, and what neither does."""
+"""The operator's half of signed mode against the robot's."""
 
 from typing import Any
 
@@ -120,7 +120,7 @@ def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
     credentials, private, request, reply = pair.leased(9)
     assert credentials.reason is Reason.NONE
     assert pair.proof.is_reply("cruiser-1", reply, request)
-    # Verbs to the robot whose lease is held have its tag, so that no flood keeps them out; others have none.
+    # Only verbs to the robot whose lease is held have its tag.
     assert len(pair.proof.request("cruiser-1", "park", b"", CHALLENGE)) == 89
     said = msgspec.msgpack.decode(reply.payload, type=LeaseReply)
     assert pair.proof.begin_lease("cruiser-1", private, said, reply.attachment)
@@ -129,7 +129,7 @@ def test_both_meet_and_agree_on_the_key_of_a_lease() -> None:
     assert pair.robot.admission.may_be_holders("park", b"", tagged)
     assert len(pair.proof.request("cruiser-2", "park", b"", CHALLENGE)) == 89
     assert pair.drives(9).reason is Reason.NONE
-    assert pair.drives(8).reason is Reason.NONE  # whose lease it is, the arbiter says by the payload
+    assert pair.drives(8).reason is Reason.NONE  # the arbiter checks the payload's lease
     assert pair.new_proof().drive(b"") == b""
 
 
@@ -268,14 +268,14 @@ def test_states_of_another_run_are_not_believed_until_the_robot_says_that_it_is_
     for other in (former, later, former):
         assert not pair.believes(other)
         assert pair.proof.is_to_meet_again("cruiser-1")
-    # Nobody who kept a state of a former run keeps those of this one from being believed.
+    # A replayed state does not block those of this run.
     assert pair.believes(pair.state(2))
-    # It was no restart: all is as before.
+    # The robot did not restart.
     assert pair.meet(b"again") is None
     assert not pair.proof.is_to_meet_again("cruiser-1")
     assert not pair.believes(pair.state(2))
     assert pair.believes(pair.state(3))
-    # It is one: its numbers begin anew, and what it said before is over.
+    # The robot restarted: its numbers begin again, and its former states are not valid.
     pair.restart(b"boot no2")
     assert pair.meet(b"and now") is None
     assert pair.believes(later)

@@ -1,4 +1,4 @@
-"""What a robot in signed mode takes over of its authority, and what follows in each tick."""
+"""Statements that a robot in signed mode accepts, and their effects in each tick."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Certificates of nodes: what is in them, who may use them for what, and requests that are refused."""
+"""Certificates of nodes: content, usage, and refused requests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is believed: every wider, older, revoked or foreign grant is refused."""
+"""The fleet's authority: wider, older, revoked and foreign grants are refused."""
 
 from collections.abc import Callable
 
@@ -188,7 +188,7 @@ def test_the_standby_key_replaces_a_stolen_authority() -> None:
     active.grant(ann)
     assert reason_of(trust.judge(ann.chain, NOW_S)) is Reason.NONE
     assert reason_of(trust.rotate(rotation)) is Reason.REPLAYED
-    # The old standby is nobody now.
+    # The old standby key has no rights any more.
     assert reason_of(trust.rotate(fleet.standby.rotate(2, Party(), Party()))) is Reason.PROOF_WRONG
     assert reason_of(trust.rotate(fleet.standby.rotate(2, active, Party()))) is Reason.PROOF_WRONG
     assert reason_of(trust.rotate(standby.rotate(1, active, standby))) is Reason.REPLAYED

@@ -1,7 +1,4 @@
-"""The test vectors of clients in other languages, held against docs/authority.md and against the code.
-
-Their private keys are known to everybody. They are never made anew: who fits them fits every version.
-"""
+"""Test vectors for clients in other languages, compared with docs/authority.md and the code. They never change."""
 
 import hashlib
 import hmac
