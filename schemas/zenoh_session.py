@@ -67,15 +67,11 @@ Says = Callable[[str], bool]
 """A test of a path: True if the Zenoh configuration file sets a value of its own there."""
 
 
-def nothing_said(_path: str) -> bool:
-    return False
-
-
 def session_settings(
     settings: ZenohSettings,
     connect: Sequence[str],
     listen: Sequence[str],
-    says: Says = nothing_said,
+    says: Says = lambda _path: False,
     own: Mapping[str, Json] | None = None,
 ) -> dict[str, Json]:
     """Return our values for Zenoh's configuration, by path (``scouting/multicast/enabled``).

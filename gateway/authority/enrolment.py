@@ -466,9 +466,8 @@ def read_request(text: bytes) -> EnrolmentRequest:
     request = _decoded(text, EnrolmentRequest, "request")
     if request.version != REQUEST_VERSION:
         raise EnrolmentError(
-            f"it is a request of version {request.version}, whose fingerprint does not cover its key. Upgrade "
-            f"Cruiser Gateway there, and make a new request: 'cruiser provision renew {request.role.value}'; in a "
-            "browser, reload the page and save another"
+            f"it is a request of version {request.version}, not {REQUEST_VERSION}: upgrade Cruiser Gateway "
+            f"there, and make a new request: 'cruiser provision renew {request.role.value}', or reload the page"
         )
     if request.role.is_granted != (request.key is not None):
         why = "gets no grant, but the request has a key" if request.key else "needs a grant, and has no key"

@@ -259,7 +259,9 @@ class RobotAuthority:
         if now_ns >= self._bars_due_ns or self._faults() != self._bars.get(Reason.SELF_TEST, ""):
             # Once a second is enough: ``ended`` ends a drive at once.
             self._bars_due_ns = now_ns + BARS_NS
-            effects.bars = self._bars_changed(boot_ns)
+            bars = self._bars_now(boot_ns)
+            if bars != self._bars:
+                self._bars = effects.bars = bars
         if self._is_changed or now_ns >= self._save_due_ns:
             self._is_changed, self._save_due_ns = False, now_ns + SAVE_NS
             effects.kept = self.to_keep(boot_ns)
@@ -316,13 +318,6 @@ class RobotAuthority:
         self._new.append(text)
         self._is_changed = True
         return None
-
-    def _bars_changed(self, boot_ns: int) -> dict[Reason, str] | None:
-        bars = self._bars_now(boot_ns)
-        if bars == self._bars:
-            return None
-        self._bars = bars
-        return bars
 
     def _faults(self) -> str:
         """Return the faults of the gateway's own files and endpoints, and of saving; empty if there are none."""

@@ -86,8 +86,23 @@ def new_key() -> ec.EllipticCurvePrivateKey:
 
 def new_authority(key: ec.EllipticCurvePrivateKey, now_s: int) -> str:
     name = _name("cruiser transport authority")
-    builder = _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
-    return _pem(_as_authority(builder).sign(key, SHA256()))
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    builder = (
+        _builder(name, name, key.public_key(), now_s, now_s + CA_DAYS * 86_400)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+    )
+    return _pem(builder.sign(key, SHA256()))
 
 
 def new_request(key: ec.EllipticCurvePrivateKey, role: str, names: Sequence[str]) -> str:
@@ -224,22 +239,6 @@ def _builder(
         .not_valid_before(datetime.fromtimestamp(now_s, UTC) - BACKDATED)
         .not_valid_after(datetime.fromtimestamp(until_s, UTC))
     )
-
-
-def _as_authority(builder: x509.CertificateBuilder) -> x509.CertificateBuilder:
-    usage = x509.KeyUsage(
-        digital_signature=False,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=True,
-        crl_sign=True,
-        encipher_only=False,
-        decipher_only=False,
-    )
-    constraints = x509.BasicConstraints(ca=True, path_length=0)
-    return builder.add_extension(constraints, critical=True).add_extension(usage, critical=True)
 
 
 def _raw(key: object) -> bytes:
