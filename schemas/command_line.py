@@ -44,6 +44,13 @@ class CommandError(Exception):
         self.code = code
 
 
+class UsageError(CommandError):
+    """Wrong arguments, files or settings: exit code 2."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message, ExitCode.USAGE)
+
+
 LINE_LENGTH: Final = 300  # longest text from elsewhere in a line
 
 
@@ -90,7 +97,7 @@ def other_kind(mode: int) -> str:
 def check_regular(path: PurePath, mode: int) -> None:
     """Check that a file is regular, before it is opened."""
     if kind := other_kind(mode):
-        raise CommandError(f"{plain(str(path))} is {kind}, not a regular file", ExitCode.USAGE)
+        raise UsageError(f"{plain(str(path))} is {kind}, not a regular file")
 
 
 GONE_SETTINGS: Final[Mapping[str, str]] = {
@@ -138,10 +145,7 @@ def certificate_files(
     if not chain and not key:
         if ipaddress.ip_address(host).is_loopback:
             return None
-        raise CommandError(
-            f"beyond this machine ({host}) {who} need TLS: give --certificate and --certificate-key",
-            ExitCode.USAGE,
-        )
+        raise UsageError(f"beyond this machine ({host}) {who} need TLS: give --certificate and --certificate-key")
     if not chain or not key:
-        raise CommandError("--certificate and --certificate-key belong together", ExitCode.USAGE)
+        raise UsageError("--certificate and --certificate-key belong together")
     return Path(chain), Path(key)

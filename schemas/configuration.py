@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 from msgspec import inspect
 
-from schemas.command_line import GONE_SETTINGS, CommandError, ExitCode, plain
+from schemas.command_line import GONE_SETTINGS, CommandError, UsageError, plain
 from schemas.settings import NEEDED_FEEDBACK, AuthoritySettings, Settings
 
 
@@ -254,7 +254,7 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     settings = msgspec.convert(sections, Settings)
     command = settings.command
     if command.emergency_deceleration_mps2 < command.deceleration_mps2:
-        raise _wrong(
+        raise UsageError(
             f"command.emergency_deceleration_mps2 is {command.emergency_deceleration_mps2:g}, and "
             f"command.deceleration_mps2 {command.deceleration_mps2:g}: the emergency deceleration may not be lower"
         )
@@ -262,7 +262,7 @@ def merge(toml: TomlSource | None, environ: Mapping[str, str], flags: Mapping[st
     if left_out:
         key = "chassis.required_feedback"
         named = f"{key} (or {SETTINGS[key].variable})"
-        raise _wrong(f"{named} leaves out {', '.join(left_out)}, which every robot needs")
+        raise UsageError(f"{named} leaves out {', '.join(left_out)}, which every robot needs")
     return settings
 
 
@@ -290,14 +290,16 @@ def _from_toml(toml: TomlSource) -> Iterator[Given]:
     for section, table in _parse(toml).items():
         if section not in SECTIONS:
             near = _nearest(section, SECTIONS)
-            raise _wrong(f"{where(section)}: there is no table {plain(section)!r}{near}")
+            raise UsageError(f"{where(section)}: there is no table {plain(section)!r}{near}")
         if not isinstance(table, dict):
-            raise _wrong(f"{where(section)}: {section} is a table of settings, as in [{section}]")
+            raise UsageError(f"{where(section)}: {section} is a table of settings, as in [{section}]")
         for name, value in table.items():
             key = f"{section}.{name}"
             if key not in SETTINGS:
                 if key not in GONE_SETTINGS:
-                    raise _wrong(f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}")
+                    raise UsageError(
+                        f"{where(section, name)}: there is no setting {plain(key)!r}{_nearest_key(key)}"
+                    )
                 if not toml.is_recorded:
                     text = f"{key} was removed and has no effect: {GONE_SETTINGS[key]}"
                     logging.getLogger(__name__).warning("%s: %s", where(section, name), text)
@@ -318,7 +320,7 @@ def _parse(toml: TomlSource) -> dict[str, Any]:
     if toml.is_recorded:
         lines = toml.text.splitlines()
         if len(toml.text) > RECORDED_MAX or any(one.count(".") > RECORDED_DOTS for one in lines):
-            raise _wrong(f"{plain(toml.file)}: not TOML that can be read: no settings are that long")
+            raise UsageError(f"{plain(toml.file)}: not TOML that can be read: no settings are that long")
     try:
         return tomllib.loads(toml.text)
     except tomllib.TOMLDecodeError as error:
@@ -326,11 +328,13 @@ def _parse(toml: TomlSource) -> dict[str, Any]:
         position = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)\Z", detail)
         what = plain(detail[: position.start()] if position else detail)
         if position and position[1]:
-            raise _wrong(f"{plain(toml.file)}:{position[1]}: not TOML, column {position[2]}: {what}") from error
+            raise UsageError(
+                f"{plain(toml.file)}:{position[1]}: not TOML, column {position[2]}: {what}"
+            ) from error
         line = toml.text.rstrip("\n").count("\n") + 1
-        raise _wrong(f"{plain(toml.file)}:{line}: not TOML, at the end of the file: {what}") from error
+        raise UsageError(f"{plain(toml.file)}:{line}: not TOML, at the end of the file: {what}") from error
     except (ValueError, RecursionError) as error:  # raised by tomllib for very many digits or brackets
-        raise _wrong(f"{plain(toml.file)}: not TOML that can be read: {plain(str(error))}") from error
+        raise UsageError(f"{plain(toml.file)}: not TOML that can be read: {plain(str(error))}") from error
 
 
 def _from_environment(environ: Mapping[str, str]) -> Iterator[Given]:
@@ -341,7 +345,7 @@ def _from_environment(environ: Mapping[str, str]) -> Iterator[Given]:
         where = f"environment {plain(variable)}"
         if variable not in by_variable:
             near = _nearest(variable.upper(), (*by_variable, CONFIG_VARIABLE))
-            raise _wrong(f"{where}: there is no such setting{near}")
+            raise UsageError(f"{where}: there is no such setting{near}")
         setting = by_variable[variable]
         yield Given(setting, _typed(setting, environ[variable]), where)
 
@@ -350,7 +354,7 @@ def _from_flags(flags: Mapping[str, object]) -> Iterator[Given]:
     for key, value in flags.items():
         where = f"flag {plain(key)}"
         if key not in SETTINGS:
-            raise _wrong(f"{where}: there is no such setting{_nearest_key(key)}")
+            raise UsageError(f"{where}: there is no such setting{_nearest_key(key)}")
         yield Given(SETTINGS[key], _typed(SETTINGS[key], value), where)
 
 
@@ -403,7 +407,7 @@ def _checked(given: Given) -> object:
     setting, value = given.setting, given.value
     problem = _bad_text(value)
     if problem:
-        raise _wrong(f"{given.where}: {setting.key} {problem}")
+        raise UsageError(f"{given.where}: {setting.key} {problem}")
     try:
         return msgspec.convert(value, setting.annotation)
     except (msgspec.ValidationError, RecursionError, OverflowError) as error:
@@ -436,10 +440,10 @@ def _bad_text(value: object) -> str:
             return ""
 
 
-def _wrong_value(given: Given) -> CommandError:
+def _wrong_value(given: Given) -> UsageError:
     setting = given.setting
     near = _nearest(str(given.value), setting.choices) if setting.choices else ""
-    return _wrong(f"{given.where}: {setting.key} must be {setting.wants}, not {_shown(given.value)}{near}")
+    return UsageError(f"{given.where}: {setting.key} must be {setting.wants}, not {_shown(given.value)}{near}")
 
 
 def _shown(value: object) -> str:
@@ -469,7 +473,3 @@ def _nearest(word: str, words: tuple[str, ...]) -> str:
 
 def _hint(word: str) -> str:
     return f"; did you mean {word!r}?"
-
-
-def _wrong(message: str) -> CommandError:
-    return CommandError(message, ExitCode.USAGE)

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Protocol
 import msgspec
 import zenoh
 
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, UsageError, plain
 from schemas.settings import DEFAULT_ENDPOINT, ZenohSettings
 
 log = logging.getLogger(__name__)
@@ -258,9 +258,7 @@ def base_configuration(file: str) -> zenoh.Config:
     try:
         return zenoh.Config.from_file(file)
     except zenoh.ZError as error:
-        raise CommandError(
-            f"Zenoh configuration file {plain(file)!r}: {reason(str(error))}", ExitCode.USAGE
-        ) from error
+        raise UsageError(f"Zenoh configuration file {plain(file)!r}: {reason(str(error))}") from error
 
 
 def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
@@ -269,9 +267,7 @@ def enter(config: zenoh.Config, entries: Mapping[str, Json]) -> None:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
             shown = plain(json.dumps(value))
-            raise CommandError(
-                f"Zenoh does not take {path} = {shown}: {reason(str(error))}", ExitCode.USAGE
-            ) from error
+            raise UsageError(f"Zenoh does not take {path} = {shown}: {reason(str(error))}") from error
 
 
 def of_file(settings: ZenohSettings, path: str) -> Json:

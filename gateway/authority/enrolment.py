@@ -40,7 +40,7 @@ from schemas.authority.proof import (
     signed_bytes,
 )
 from schemas.authority.trust import AuthorityKeys, Objection, fingerprint, fits
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import UsageError
 from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROOT_PATTERN
 from schemas.settings import REQUEST_MAX_BYTES, ZenohSettings
 from schemas.subjects import (
@@ -377,11 +377,8 @@ Endpoint = Annotated[str, Meta(pattern=r"^(tls|quic)/[^\s]+:[0-9]+\Z", max_lengt
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.:-]{1,64}\Z")]
 
 
-class EnrolmentError(CommandError):
+class EnrolmentError(UsageError):
     """A request, bundle or certificate that cannot be used: one line; the caller adds the file's name."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(message, ExitCode.USAGE)
 
 
 class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

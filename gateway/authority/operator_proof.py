@@ -43,7 +43,7 @@ from schemas.authority.proof import (
 )
 from schemas.authority.trust import Objection, Trust, fits
 from schemas.codec import PAYLOAD_ERRORS
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import UsageError
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.messages import SEQUENCE_MAX, Sequence
 from schemas.reasons import Reason
@@ -259,9 +259,8 @@ class ViewerProof(KnownRobots):
 
     def request(self, robot: str, verb: str, _payload: bytes, _challenge: bytes) -> bytes:
         if verb != STOP_VERB:
-            raise CommandError(
-                f"{verb} of {robot} needs an operator's key and grant; there is none here: see docs/authority.md",
-                ExitCode.USAGE,
+            raise UsageError(
+                f"{verb} of {robot} needs an operator's key and grant; there is none here: see docs/authority.md"
             )
         return new_question()
 

@@ -56,7 +56,7 @@ from schemas.authority.proof import (
     signed_bytes,
 )
 from schemas.authority.trust import AuthorityKeys, Objection, in_utc
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, UsageError, plain
 from schemas.configuration import write_string
 from schemas.subjects import TEXT_MAX_BYTES
 
@@ -70,7 +70,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
     """Make the keys of a machine or a person. Returns the request for enrolment."""
     wrong = next((name for name in names if re.fullmatch(NAME_PATTERN, name) is None), None)
     if wrong is not None:
-        raise CommandError(f"{wrong!a} cannot be a name: names match {NAME_PATTERN}", ExitCode.USAGE)
+        raise UsageError(f"{wrong!a} cannot be a name: names match {NAME_PATTERN}")
     tls, tls_name = new_key(), tls_key_name(role)
     keys = {tls_name: store.pem(tls, is_protected=False)}
     private = None
@@ -80,7 +80,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
     try:
         request = new_request(role, names, certificate_request(tls, role.value, names), private, tls)
     except (EnrolmentError, ValueError) as error:
-        raise CommandError(f"{', '.join(names)!a}: {error}", ExitCode.USAGE) from error
+        raise UsageError(f"{', '.join(names)!a}: {error}") from error
     cure = f"'cruiser provision renew {role.value}' requests again with these keys, --replace makes new ones"
     store.write(keys, replace=replace, cure=cure)
     return request
@@ -127,11 +127,10 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     cure = f"--fingerprint installs it, if 'provision authority' or 'sign' printed {bundle.fingerprint} there"
     if AUTHORITY_FILE in changed and not (replace and is_compared):
         shown = plain(str(store.path(AUTHORITY_FILE)))
-        raise CommandError(f"{shown} belongs to another authority; --replace with {cure}", ExitCode.USAGE)
+        raise UsageError(f"{shown} belongs to another authority; --replace with {cure}")
     if changed and not replace:
-        raise CommandError(
-            f"{plain(str(store.path(changed[0])))} differs from the bundle's; --replace overwrites it",
-            ExitCode.USAGE,
+        raise UsageError(
+            f"{plain(str(store.path(changed[0])))} differs from the bundle's; --replace overwrites it"
         )
     own = dict(_own_files(store, bundle))
     settings = SETTINGS_FILE.format(who=who)
@@ -163,10 +162,9 @@ def _check_certificate(store: KeyStore, bundle: Bundle) -> int:
         read_certificates(bundle.ca)
     name = tls_key_name(bundle.role)
     if not store.has(name):
-        raise CommandError(
+        raise UsageError(
             f"the bundle is for {_bundle_holder(bundle)}, whose keys are not in {plain(str(store.directory))}: "
-            "install it where the request was made; --directory says where the keys are",
-            ExitCode.USAGE,
+            "install it where the request was made; --directory says where the keys are"
         )
     if not fits(certificate, store.p256(name, remade(bundle.role.value))):
         raise _other_request(store, name, bundle)
@@ -182,11 +180,10 @@ def _check_grant(store: KeyStore, bundle: Bundle) -> None:
 
 
 def _other_request(store: KeyStore, name: str, bundle: Bundle) -> CommandError:
-    return CommandError(
+    return UsageError(
         f"the bundle is for {_bundle_holder(bundle)}, and answers another request than that of "
         f"{plain(str(store.path(name)))}: install it where its request was made, or request one with these keys "
-        f"('cruiser provision renew {bundle.role.value}')",
-        ExitCode.USAGE,
+        f"('cruiser provision renew {bundle.role.value}')"
     )
 
 
@@ -225,10 +222,9 @@ def _listening(routers: list[str], names: list[str]) -> list[str]:
             own = host if host in _LOOPBACK else "[::]"
             found.append(f"{protocol}/{own}:{port}")
     if not found:
-        raise CommandError(
+        raise UsageError(
             f"the fleet's routers are {', '.join(routers)}, and the certificate is for {', '.join(names)}: "
-            "ask with one of these hosts",
-            ExitCode.USAGE,
+            "ask with one of these hosts"
         )
     return list(dict.fromkeys(found))
 
@@ -322,9 +318,7 @@ class Issuer:
     @classmethod
     def open(cls, store: KeyStore) -> Self:
         if not store.has(AUTHORITY_KEY):
-            raise CommandError(
-                f"no authority's key is in {store.directory}: give its directory with --directory", ExitCode.USAGE
-            )
+            raise UsageError(f"no authority's key is in {store.directory}: give its directory with --directory")
         return cls(store, store.ed25519(AUTHORITY_KEY, _AUTHORITY_CURE))
 
     @property
@@ -380,10 +374,9 @@ class Issuer:
         revoked = self._revoked()
         if request.key and bytes.fromhex(request.key) in map(bytes.fromhex, revoked.keys):
             who = request.role.value
-            raise CommandError(
+            raise UsageError(
                 f"the key of {who} {request.names[0]} was revoked: {self.store.path(REVOCATIONS_FILE)}, list "
-                f"{revoked.serial} of {in_utc(revoked.at)}; {remade(who)}",
-                ExitCode.USAGE,
+                f"{revoked.serial} of {in_utc(revoked.at)}; {remade(who)}"
             )
 
     def last_grant(self, request: EnrolmentRequest) -> Grant | None:
@@ -422,17 +415,16 @@ class Issuer:
             return [msgspec.json.decode(line, type=Issued) for line in lines]
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
             path = self.store.path(ISSUED_FILE)
-            raise CommandError(f"{path} is damaged: {error}", ExitCode.USAGE) from error
+            raise UsageError(f"{path} is damaged: {error}") from error
 
     def revoke(self, keys: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
         """Sign a new list of revocations: the last one and these keys. Raising the epoch begins an empty list."""
         before, serials = self._revoked(), serials_of(self.store)
         path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
-            raise CommandError(
+            raise UsageError(
                 f"{path} is not the newest list: signing one now would cancel revocations. Restore the newest "
-                "from a backup or from a desk that shows it, or end all earlier grants with --epoch",
-                ExitCode.USAGE,
+                "from a backup or from a desk that shows it, or end all earlier grants with --epoch"
             )
         serial = max(serials.revocations, before.serial, now_s) + 1
         epoch = max(serials.epoch, before.epoch) + raise_epoch
@@ -447,9 +439,8 @@ class Issuer:
             ),
         )
         if len(signed.text()) > TEXT_MAX_BYTES:
-            raise CommandError(
-                "the list is longer than robots accept. --epoch ends all earlier grants, and empties the list",
-                ExitCode.USAGE,
+            raise UsageError(
+                "the list is longer than robots accept. --epoch ends all earlier grants, and empties the list"
             )
         save_serials(self.store, msgspec.structs.replace(serials, revocations=serial, epoch=epoch))
         self.store.write({REVOCATIONS_FILE: signed.text()}, replace=True)
@@ -474,7 +465,7 @@ class Issuer:
         signed = state(self._private, grant)
         held = self.authority.trust.judge([signed], now_s)
         if isinstance(held, Objection):
-            raise CommandError(f"this grant would not be valid: {held.text}", ExitCode.USAGE)
+            raise UsageError(f"this grant would not be valid: {held.text}")
         save_serials(self.store, msgspec.structs.replace(serials, grant=grant.serial))
         return signed
 
@@ -483,7 +474,7 @@ class Issuer:
         try:
             return issue(request.csr, role, ca, key, now_s)
         except EnrolmentError as error:
-            raise CommandError(f"{self.store.path(CA_FILE)}: {error}", ExitCode.USAGE) from error
+            raise UsageError(f"{self.store.path(CA_FILE)}: {error}") from error
 
     def _revoked(self) -> Revocations:
         if not self.store.has(REVOCATIONS_FILE):
@@ -492,9 +483,7 @@ class Issuer:
         statement = None if isinstance(chain, StatementFault) else chain[0].statement
         if not isinstance(statement, Revocations):
             path = self.store.path(REVOCATIONS_FILE)
-            raise CommandError(
-                f"{path} is damaged: restore it from a backup, or revocations would be lost", ExitCode.USAGE
-            )
+            raise UsageError(f"{path} is damaged: restore it from a backup, or revocations would be lost")
         return statement
 
 

@@ -58,7 +58,7 @@ from schemas.authority.key_files import (
     renewed,
 )
 from schemas.authority.trust import fingerprint
-from schemas.command_line import CommandError, ExitCode, check_regular, plain
+from schemas.command_line import CommandError, UsageError, check_regular, plain
 from schemas.settings import ZenohSettings
 
 LEAF_DAYS: Final = 30  # life of a node's certificate
@@ -275,12 +275,10 @@ class Passphrase:
         if self._known is None:
             text = self._read() if self._file else self._ask("passphrase for the new keys: ")
             if not self._file and self._ask("once more: ") != text:
-                raise CommandError("the two passphrases differ", ExitCode.USAGE)
+                raise UsageError("the two passphrases differ")
             self._known = text
         if not self._known:
-            raise CommandError(
-                "an empty passphrase protects nothing; use --no-passphrase for none", ExitCode.USAGE
-            )
+            raise UsageError("an empty passphrase protects nothing; use --no-passphrase for none")
         return BestAvailableEncryption(self._known)
 
     def of(self, path: Path) -> bytes:
@@ -292,18 +290,15 @@ class Passphrase:
         try:
             return Path(self._file or "").read_bytes().partition(b"\n")[0].rstrip(b"\r")
         except OSError as error:
-            raise CommandError(f"{self._file} cannot be read: {error.strerror}", ExitCode.USAGE) from error
+            raise UsageError(f"{self._file} cannot be read: {error.strerror}") from error
 
     def _ask(self, prompt: str) -> bytes:
         if not sys.stdin.isatty():
-            raise CommandError(
-                "no terminal to ask for a passphrase: give --passphrase-file or --no-passphrase",
-                ExitCode.USAGE,
-            )
+            raise UsageError("no terminal to ask for a passphrase: give --passphrase-file or --no-passphrase")
         try:
             return getpass.getpass(prompt).encode()
         except EOFError as error:
-            raise CommandError("no passphrase given", ExitCode.USAGE) from error
+            raise UsageError("no passphrase given") from error
 
 
 class KeyStore:
@@ -325,7 +320,7 @@ class KeyStore:
         """Write files, or none of them if one exists and ``replace`` is not set."""
         present = [name for name in files if self.has(name)]
         if present and not replace:
-            raise CommandError(f"{plain(str(self.path(present[0])))} is there already; {cure}", ExitCode.USAGE)
+            raise UsageError(f"{plain(str(self.path(present[0])))} is there already; {cure}")
         try:
             self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
@@ -349,9 +344,7 @@ class KeyStore:
         try:
             return msgspec.json.decode(self.read(name, cure), type=kind)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-            raise CommandError(
-                f"{plain(str(self.path(name)))} is damaged: {error}; {cure}", ExitCode.USAGE
-            ) from error
+            raise UsageError(f"{plain(str(self.path(name)))} is damaged: {error}; {cure}") from error
 
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
         """A private key in PEM, encrypted with the passphrase if it is to be protected."""
@@ -379,17 +372,17 @@ class KeyStore:
             return load_pem_private_key(file.content, password)
         except (ValueError, TypeError, UnsupportedAlgorithm) as error:
             why = "the passphrase is wrong, or the file damaged" if is_protected else f"not a private key; {cure}"
-            raise CommandError(f"{plain(str(file.path))}: {why}", ExitCode.USAGE) from error
+            raise UsageError(f"{plain(str(file.path))}: {why}") from error
 
     def _other_kind(self, name: str, cure: str) -> CommandError:
-        return CommandError(f"{plain(str(self.path(name)))} is another kind of key; {cure}", ExitCode.USAGE)
+        return UsageError(f"{plain(str(self.path(name)))} is another kind of key; {cure}")
 
     def _check_directory(self) -> None:
         found, shown = self.directory.stat(), plain(str(self.directory))
         if found.st_uid not in {0, os.geteuid()}:
-            raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
+            raise UsageError(f"{shown} belongs to another user; chown it to yours")
         if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise CommandError(f"{shown} can be written by others; chmod 700 {shown}", ExitCode.USAGE)
+            raise UsageError(f"{shown} can be written by others; chmod 700 {shown}")
 
 
 def read_input(path: Path, cure: str = "") -> bytes:
@@ -424,7 +417,7 @@ def write_file(path: Path, text: str, mode: int, *, replace: bool) -> None:
     shown = plain(str(path))
     try:
         if not replace and os.path.lexists(path):
-            raise CommandError(f"{shown} is there already; --replace overwrites it", ExitCode.USAGE)
+            raise UsageError(f"{shown} is there already; --replace overwrites it")
         replace_whole(path, text, mode)
     except OSError as error:
         raise CommandError(f"{shown} cannot be written: {error.strerror}") from error
@@ -464,11 +457,10 @@ def check_tls_files(file: Path, who: str, now_s: float) -> str:
     shown = plain(str(files.certificate))
     _check_end(files.ca, max(map(expires_s, roots)) - now_s, "the fleet needs a new authority")
     if not fits(certificate, KeyStore(files.key.parent).p256(files.key.name, remade(who))):
-        raise CommandError(f"{shown} is not the certificate of {plain(str(files.key))}; {cure}", ExitCode.USAGE)
+        raise UsageError(f"{shown} is not the certificate of {plain(str(files.key))}; {cure}")
     if not is_issued(certificate, roots):
-        raise CommandError(
-            f"{shown} is of another network than {plain(str(files.ca))}: no authority there signed it; {cure}",
-            ExitCode.USAGE,
+        raise UsageError(
+            f"{shown} is of another network than {plain(str(files.ca))}: no authority there signed it; {cure}"
         )
     left_s = expires_s(certificate) - now_s
     _check_end(files.certificate, left_s, cure)
@@ -521,13 +513,13 @@ def _read(path: Path, cure: str) -> list[Certificate]:
     try:
         return read_certificates(read_input(path, cure).decode(errors="replace"))
     except EnrolmentError as error:
-        raise CommandError(f"{plain(str(path))}: {error}; {cure}", ExitCode.USAGE) from error
+        raise UsageError(f"{plain(str(path))}: {error}; {cure}") from error
 
 
 def _check_end(path: Path, left_s: float, cure: str) -> None:
     if left_s <= 0:
         ended = f"{plain(str(path))} ended {-left_s / _DAY_S:.1f} days ago"
-        raise CommandError(f"{ended}; {cure}", ExitCode.USAGE)
+        raise UsageError(f"{ended}; {cure}")
 
 
 def check_shut_out(directory: Path, now_s: float) -> None:
@@ -538,4 +530,4 @@ def check_shut_out(directory: Path, now_s: float) -> None:
     _check_end(path, expires_s(certificate) - now_s, cure)
     key = KeyStore(directory).p256(TLS_KEY_FILE.format(who="robot"), remade("robot"))
     if not fits(certificate, key):
-        raise CommandError(f"{plain(str(path))} does not match the key beside it; {cure}", ExitCode.USAGE)
+        raise UsageError(f"{plain(str(path))} does not match the key beside it; {cure}")

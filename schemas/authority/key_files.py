@@ -21,7 +21,7 @@ from cryptography.x509.oid import NameOID
 from schemas import configuration
 from schemas.authority.proof import Grant, Signed, StatementFault, read_chain
 from schemas.authority.trust import AuthorityKeys, Trust
-from schemas.command_line import CommandError, ExitCode, check_regular, plain
+from schemas.command_line import CommandError, UsageError, check_regular, plain
 from schemas.keys import ROBOT_PATTERN
 from schemas.settings import AuthoritySettings
 
@@ -68,20 +68,20 @@ def find(path: Path, cure: str = "") -> FoundFile:
             status = os.fstat(file.fileno())
             content = file.read(FILE_MAX_BYTES + 1)
     except FileNotFoundError as error:
-        raise CommandError(f"{shown} is not there{cure and f'; {cure}'}", ExitCode.USAGE) from error
+        raise UsageError(f"{shown} is not there{cure and f'; {cure}'}") from error
     except OSError as error:
-        raise CommandError(f"{shown} cannot be read: {error.strerror}", ExitCode.USAGE) from error
+        raise UsageError(f"{shown} cannot be read: {error.strerror}") from error
     if len(content) > FILE_MAX_BYTES:
-        raise CommandError(f"{shown} is larger than {FILE_MAX_BYTES} bytes", ExitCode.USAGE)
+        raise UsageError(f"{shown} is larger than {FILE_MAX_BYTES} bytes")
     return FoundFile(path, content, status.st_mode, status.st_uid in {0, os.geteuid()})
 
 
 def check_owner(file: FoundFile) -> None:
     shown = plain(str(file.path))
     if file.mode & OTHERS:
-        raise CommandError(f"{shown} can be read by others; chmod 600 {shown}", ExitCode.USAGE)
+        raise UsageError(f"{shown} can be read by others; chmod 600 {shown}")
     if not file.is_own:
-        raise CommandError(f"{shown} belongs to another user; chown it to yours", ExitCode.USAGE)
+        raise UsageError(f"{shown} belongs to another user; chown it to yours")
 
 
 def read_identity(directory: Path, who: str) -> Identity:
@@ -95,19 +95,17 @@ def read_identity(directory: Path, who: str) -> Identity:
     private, shown = _private_key(key, remade(who)), plain(str(grant.path))
     chain = read_chain(grant.content)
     if isinstance(chain, StatementFault):
-        raise CommandError(f"{shown} is not a grant: {chain.detail}; {renewed(who)}", ExitCode.USAGE)
+        raise UsageError(f"{shown} is not a grant: {chain.detail}; {renewed(who)}")
     if getattr(chain[0].statement, "key", "") != private.public_key().public_bytes_raw().hex():
-        raise CommandError(
-            f"{shown} is not the grant of {plain(str(key.path))}: one of them belongs to another; {renewed(who)}",
-            ExitCode.USAGE,
+        raise UsageError(
+            f"{shown} is not the grant of {plain(str(key.path))}: one of them belongs to another; {renewed(who)}"
         )
     trust = read_trust(directory, who)
     if chain[-1].signer != trust.active:
         authority = plain(str(directory / AUTHORITY_FILE))
-        raise CommandError(
+        raise UsageError(
             f"{authority} is not of the authority that signed {shown}: one of them is of another fleet, or from "
-            f"before a rotation; {renewed(who)}",
-            ExitCode.USAGE,
+            f"before a rotation; {renewed(who)}"
         )
     return Identity(private, chain, trust)
 
@@ -118,9 +116,7 @@ def read_trust(directory: Path, who: str = "viewer") -> Trust:
     try:
         return msgspec.json.decode(file.content, type=AuthorityKeys).trust
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise CommandError(
-            f"{plain(str(file.path))} is damaged: {error}; {renewed(who)}", ExitCode.USAGE
-        ) from error
+        raise UsageError(f"{plain(str(file.path))} is damaged: {error}; {renewed(who)}") from error
 
 
 def _private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
@@ -130,9 +126,9 @@ def _private_key(file: FoundFile, cure: str) -> Ed25519PrivateKey:
         key = load_pem_private_key(file.content, None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         # OpenSSL's own message is about its decoders.
-        raise CommandError(f"{shown} is not a private key, or damaged; {cure}", ExitCode.USAGE) from error
+        raise UsageError(f"{shown} is not a private key, or damaged; {cure}") from error
     if not isinstance(key, Ed25519PrivateKey):
-        raise CommandError(f"{shown} is not an Ed25519 key; {cure}", ExitCode.USAGE)
+        raise UsageError(f"{shown} is not an Ed25519 key; {cure}")
     return key
 
 
