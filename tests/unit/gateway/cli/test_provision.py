@@ -564,7 +564,7 @@ def test_each_robot_says_what_became_of_a_statement(port: FakePort, capsys: pyte
     for text, robots, code, says in (
         (chain_text(ann.chain), (), ExitCode.OK, "cruiser-1: accepted"),
         (revoked, (), ExitCode.OK, "cruiser-1: accepted"),
-        (revoked, (), ExitCode.OK, "cruiser-1: already has this one or a newer one (the same was"),
+        (revoked, (), ExitCode.OK, "cruiser-1: already has this one or a newer one (this request was"),
         (chain_text(ann.chain), (), ExitCode.REFUSED, "cruiser-1: refused: the grant was revoked; by list 1; ask"),
         (revoked, ("cruiser-9",), ExitCode.UNREACHABLE, "cruiser-9: no reply"),
         (revoked, ("cruiser-1", "cruiser-9"), ExitCode.PARTIAL, "cruiser-1: already has"),
