@@ -205,7 +205,9 @@ class CanBus:
         self._driver = driver
         self._socket = driver.stream
         if self._socket is not None:
-            _tune(self._socket)
+            # Frames leave at once or not at all, without waiting for more data or for space.
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, SEND_TIMEOUT_US))
         self._full_since_s: float | None = None
         self._keeps_epoch: bool | None = None
 
@@ -290,12 +292,6 @@ def first_line(error: Exception) -> str:
     return (message.splitlines() or [type(error).__name__])[0]
 
 
-def _tune(stream: socket.socket) -> None:
-    """Make frames leave at once or not at all, without waiting for more data or for space."""
-    stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("@ll", 0, SEND_TIMEOUT_US))
-
-
 def _waiting_bytes(stream: socket.socket) -> int:
     """Return the number of sent bytes that have not arrived; 0 if the connection is gone."""
     try:
@@ -349,18 +345,14 @@ def open_socket(channel: str, identifiers: Collection[int] = (), *, fd: bool = F
         bus.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         if identifiers:
             # Before the socket is bound, so that no other frame comes in.
-            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed_filters(identifiers))
+            bits = IDENTIFIER_MASK | EXTENDED
+            filters = b"".join(_FILTER.pack(can_id & bits, bits | REMOTE) for can_id in identifiers)
+            bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
         bus.bind((channel,))
     except BaseException:
         bus.close()
         raise
     return bus
-
-
-def packed_filters(identifiers: Collection[int]) -> bytes:
-    """Return a ``struct can_filter`` for each identifier: all bits and its kind match, remote frames do not."""
-    mask = IDENTIFIER_MASK | EXTENDED | REMOTE
-    return b"".join(_FILTER.pack(can_id & (IDENTIFIER_MASK | EXTENDED), mask) for can_id in identifiers)
 
 
 class SocketCanBus:

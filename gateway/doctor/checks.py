@@ -12,7 +12,7 @@ from gateway.doctor.facts import CanInterface, Facts
 from schemas.command_line import plain
 from schemas.messages import ControllerState, GatewayHealth, Variant
 from schemas.reasons import TEXTS, Reason, cure_of, of_a_robot
-from schemas.recording import RecorderHealth, RecorderState
+from schemas.recording import RecorderState
 from schemas.settings import STANDSTILL_MPS
 
 QUEUE_MAX_FRAMES: Final = 10
@@ -390,16 +390,13 @@ def _clock_behind(facts: Facts) -> Iterable[Detail]:
 
 def _clock_differs(facts: Facts) -> Iterable[Detail]:
     ahead_s = facts.zenoh.ahead_s
-    return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {_way(ahead_s)}")
+    way = "ahead" if ahead_s > 0 else "behind"
+    return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {way}")
 
 
 def _clock_set_back(facts: Facts) -> Iterable[Detail]:
     back_s = -facts.zenoh.clock_moved_s
     return _found(back_s > CLOCK_MAX_S, f"by {back_s:.0f} s")
-
-
-def _way(ahead_s: float) -> str:
-    return "ahead" if ahead_s > 0 else "behind"
 
 
 def _split(text: str) -> Detail:
@@ -455,12 +452,8 @@ def _losses(facts: Facts) -> Iterable[Detail]:
     for recorder in facts.zenoh.recorders:
         missed = recorder.missed if recorder.missed > LOST_MAX_SHARE * recorder.received else 0
         counts.append((f"samples that {recorder.recorder} missed", missed))
-        counts.append((f"samples that {recorder.recorder} dropped", _dropped(recorder)))
+        counts.append((f"samples that {recorder.recorder} dropped", sum(recorder.dropped.values())))
     return [Detail(f"{count} {what}") for what, count in counts if count]
-
-
-def _dropped(recorder: RecorderHealth) -> int:
-    return sum(recorder.dropped.values())
 
 
 _UP: Final = (

@@ -125,6 +125,27 @@ def links_of(session: zenoh.Session) -> frozenset[str]:
     return frozenset(f"{link.src} {link.dst}" for link in session.info.links())
 
 
+def comes_true(condition: Callable[[], bool], timeout_s: float) -> bool:
+    """Poll a condition until it holds. Returns False after the timeout."""
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() >= deadline_s:
+            return False
+        time.sleep(POLL_S)
+    return True
+
+
+def declare_events(session: zenoh.Session, key: str, waiting: int) -> Any:  # noqa: ANN401 - Zenoh's
+    """Subscribe to events, with earlier ones and recovery of lost ones."""
+    return ext.declare_advanced_subscriber(
+        session,
+        key,
+        zenoh.handlers.RingChannel(waiting),
+        history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
+        recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+    )
+
+
 def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuery:
     """Query the liveliness tokens under a key."""
     question = PendingQuery()
@@ -251,14 +272,8 @@ class DeskListener(FleetListener):
 
     def __init__(self, session: zenoh.Session, robot: RobotSettings, name: str = "") -> None:
         super().__init__(session, robot, name)
-        events = ext.declare_advanced_subscriber(
-            session,
-            f"{robot.root}/{name or '*'}/{BY_TYPE[SafetyEvent].name}",
-            zenoh.handlers.RingChannel(SAMPLES_WAITING),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
-            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-        )
-        self._events = events
+        key = f"{robot.root}/{name or '*'}/{BY_TYPE[SafetyEvent].name}"
+        self._events = declare_events(session, key, SAMPLES_WAITING)
 
     def drain(self) -> Iterator[Arrival]:
         """Yield a bounded number of arrivals since the last call; fewer of events, which take time to read."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
@@ -24,6 +23,7 @@ import zenoh
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from gateway.telemetry.samples import KeptSamples
+from gateway.zenoh.client import comes_true
 from gateway.zenoh.node import ROBOT_RULES, ROBOT_VALUES, Replier, ZenohNode, ZenohPlace
 from schemas import keys
 from schemas.codec import Sample, encoding_fault, names_schema
@@ -285,22 +285,13 @@ def open_inbox(
         listen = ", ".join(place.command_listen)
         on = f"; the command session listens on {listen} (zenoh.command_listen)" if listen else ""
         raise CommandError(f"{error}{on}", error.code) from error
-    if own and not _finds(session, place.node):
+    if own and not comes_true(lambda: place.node in map(str, session.info.peers_zid()), OWN_LINK_TIMEOUT_S):
         log.warning(
             "the command session is not connected to %s: clients that connect there can neither command nor stop "
             "this robot; check the certificate for outgoing connections",
             ", ".join(own),
         )
     return CommandInbox(session, settings, is_proven, sieve)
-
-
-def _finds(session: zenoh.Session, node: str) -> bool:
-    deadline_s = time.monotonic() + OWN_LINK_TIMEOUT_S
-    while time.monotonic() < deadline_s:
-        if node in map(str, session.info.peers_zid()):
-            return True
-        time.sleep(0.01)
-    return False
 
 
 AGAIN_S: Final = 1.0  # pause between two attempts

@@ -19,7 +19,7 @@ import zenoh
 from zenoh import ext
 
 from gateway.telemetry.samples import KeptSamples
-from gateway.zenoh.client import links_of
+from gateway.zenoh.client import comes_true, links_of
 from schemas import keys
 from schemas.codec import Sample
 from schemas.command_line import CommandError, ExitCode, plain
@@ -344,7 +344,8 @@ def open_node(
     """Open the gateway's node. Returns it and its endpoints; without signer and proof nothing is signed."""
     session, place = _open_session(settings)
     try:
-        _wait_for_link(session, place)
+        if place.connect:  # A neighbour is needed to check that our name is free.
+            comes_true(lambda: bool(links_of(session)), NEIGHBOUR_TIMEOUT_S)
         warning = _check_name_is_free(session, settings, name_proof)
     except CommandError:
         close_session(session)
@@ -357,13 +358,6 @@ def open_node(
 def client_place(settings: Settings) -> ZenohPlace:
     """Return the endpoints of a gateway that is a client, before it has a session."""
     return ZenohPlace("", client_endpoints(settings.zenoh), is_client=True)
-
-
-def _wait_for_link(session: zenoh.Session, place: ZenohPlace) -> None:
-    """Wait for a neighbour, which is needed to check that our name is free."""
-    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
-    while place.connect and not links_of(session) and time.monotonic() < deadline_s:
-        time.sleep(0.02)
 
 
 def _check_name_is_free(session: zenoh.Session, settings: Settings, name_proof: NameProof | None) -> str:
@@ -483,11 +477,8 @@ def _open(settings: Settings, connect: list[str], listen: list[str]) -> zenoh.Se
 def _join_neighbour(settings: Settings, listen: list[str]) -> zenoh.Session:
     """Connect to the Zenoh node that holds our port, as with several robots on one bench."""
     session = _open(settings, [DEFAULT_ENDPOINT], listen)
-    deadline_s = time.monotonic() + NEIGHBOUR_TIMEOUT_S
-    while time.monotonic() < deadline_s:
-        if is_connected(session):
-            return session
-        time.sleep(0.02)
+    if comes_true(lambda: is_connected(session), NEIGHBOUR_TIMEOUT_S):
+        return session
     close_session(session)
     raise CommandError(
         f"{DEFAULT_ENDPOINT} is taken, but not by a Zenoh node; choose another with --listen", ExitCode.UNREACHABLE

@@ -12,10 +12,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, Protocol, Self, TypeVar
 
 import zenoh
-from zenoh import ext
 
 from gateway.telemetry.samples import Missed, Received
-from gateway.zenoh.client import EVENTS_OF_BEFORE, PendingQuery, SessionOwner, ask_all, call_roll, receive
+from gateway.zenoh.client import PendingQuery, SessionOwner, ask_all, call_roll, declare_events, receive
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
@@ -99,11 +98,10 @@ class CommandPort(SessionOwner):
 
     def begin(self, verb: str, payload: bytes, timeout_s: float) -> PendingQuery:
         """Send a query; poll it for the replies."""
-        prover = self.prover
-        if prover is None:
-            return self.query(self._keys[verb], PendingQuery(), payload, BY_VERB[verb].encoding, b"", timeout_s)
-        attachment = prover.attach(verb, payload)
-        question = PendingQuery(lambda received: prover.is_reply(received, attachment))
+        question, attachment = PendingQuery(), b""
+        if (prover := self.prover) is not None:
+            attachment = prover.attach(verb, payload)
+            question = PendingQuery(lambda received: prover.is_reply(received, attachment))
         return self.query(self._keys[verb], question, payload, BY_VERB[verb].encoding, attachment, timeout_s)
 
     def show(self, statement: bytes, question: bytes, timeout_s: float) -> list[Received]:
@@ -145,13 +143,7 @@ class SafetyListener(SessionOwner):
             session.declare_subscriber(key, zenoh.handlers.RingChannel(STATES_WAITING))
             for key in (state, chassis, health)
         )
-        self._events: Any = ext.declare_advanced_subscriber(
-            session,
-            event,
-            zenoh.handlers.RingChannel(EVENTS_WAITING),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=EVENTS_OF_BEFORE),
-            recovery=ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
-        )
+        self._events = declare_events(session, event, EVENTS_WAITING)
 
     @classmethod
     def open(cls, settings: Settings, robot: str) -> Self:

@@ -1,5 +1,6 @@
+from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import pytest
@@ -7,7 +8,7 @@ import zenoh
 
 from gateway.telemetry.samples import Arrival, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
-from gateway.zenoh.client import SAMPLES_WAITING, PendingQuery, RobotListener, call_roll
+from gateway.zenoh.client import PendingQuery, RobotListener, call_roll, receive
 from gateway.zenoh.operator import CommandPort
 from schemas import codec, keys
 from schemas.command_line import CommandError, ExitCode
@@ -75,10 +76,23 @@ ROOM = 1000
 """More than the 256 replies of a channel of Zenoh's."""
 
 
-def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+class Pair(NamedTuple):
+    answerer: zenoh.Session
+    asker: zenoh.Session
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
     listen = free_endpoint()
     answerer = open_session(ZenohSettings(), [], [listen])
     asker = open_session(ZenohSettings(), [listen], [])
+    yield Pair(answerer, asker)
+    close_session(asker)
+    close_session(answerer)
+
+
+def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch, pair: Pair) -> None:
+    answerer, asker = pair
     count = 2 * ROOM
     monkeypatch.setattr(zenoh_client, "REPLIES_WAITING", ROOM)
 
@@ -102,14 +116,10 @@ def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) ->
             assert [one.payload for one in question.poll()] == [b"%d" % n for n in range(count // 2, count)]
             assert question.is_over
             assert not question.timed_out
-    close_session(asker)
-    close_session(answerer)
 
 
-def test_a_question_that_ran_out_of_time_says_so() -> None:
-    listen = free_endpoint()
-    answerer = open_session(ZenohSettings(), [], [listen])
-    asker = open_session(ZenohSettings(), [listen], [])
+def test_a_question_that_ran_out_of_time_says_so(pair: Pair) -> None:
+    answerer, asker = pair
     with answerer.declare_queryable("mute", zenoh.handlers.RingChannel(1), complete=True) as mute:
         question = PendingQuery()
         querier: Any = asker.declare_querier("mute", timeout=0.1)
@@ -121,27 +131,14 @@ def test_a_question_that_ran_out_of_time_says_so() -> None:
     roll = call_roll(asker, "nobody/*", 20)
     wait_until(lambda: roll.poll() == [] and roll.is_over)
     assert not roll.timed_out
-    close_session(asker)
-    close_session(answerer)
 
 
-def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever() -> None:
-    class Endless:
-        def __init__(self, sample: zenoh.Sample) -> None:
-            self._sample = sample
-
-        def try_recv(self) -> zenoh.Sample:
-            return self._sample
-
-    listen = free_endpoint()
-    session = open_session(ZenohSettings(), [], [listen])
-    with session.declare_subscriber("x", zenoh.handlers.FifoChannel(1)) as subscriber:
-        session.put("x", b"")
-        endless: Any = Endless(subscriber.recv())
-    with RobotListener(session, RobotSettings()) as listener:
-        listener._samples = (endless,)
-        *samples, last = listener.drain()
-        assert (len(samples), last) == (SAMPLES_WAITING, Missed())
+def test_who_publishes_faster_than_is_read_keeps_no_reader_for_ever(pair: Pair) -> None:
+    with pair.asker.declare_subscriber("x", zenoh.handlers.FifoChannel(1)) as subscriber:
+        pair.asker.put("x", b"")
+        sample = subscriber.recv()
+    *samples, last = receive(lambda: sample, 8)
+    assert (len(samples), last) == (8, Missed())
 
 
 def test_a_ring_that_ran_over_says_that_samples_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,6 +38,15 @@ def watcher(default_endpoint: str) -> Iterator[zenoh.Session]:
     close_session(session)
 
 
+@pytest.fixture
+def node(watcher: zenoh.Session) -> Iterator[ZenohNode]:
+    """The node of r-1, which the watcher has met."""
+    opened, _ = open_node(settings("r-1"))
+    wait_until(lambda: bool(watcher.info.peers_zid()))
+    yield opened
+    opened.close()
+
+
 def settings(name: str) -> Settings:
     return Settings(robot=RobotSettings(name=name))
 
@@ -107,20 +116,15 @@ def test_what_is_no_place_for_two_sessions_is_told(listen: str, fault: str) -> N
     assert error.value.code is ExitCode.USAGE
 
 
-def test_a_health_of_before_is_not_kept(watcher: zenoh.Session) -> None:
+def test_a_health_of_before_is_not_kept(watcher: zenoh.Session, node: ZenohNode) -> None:
     """Zenoh must not deliver it: a hanging gateway would look healthy."""
-    node, _ = open_node(settings("r-1"))
-    wait_until(lambda: bool(watcher.info.peers_zid()))
     node.publish(Sample("gateway/health", b"before"))
     # Zenoh's caches answer beneath this chunk, with samples of the key itself.
     history = watcher.get("fleet/r-1/gateway/health/@adv/**?_anyke", timeout=20)
     assert [reply for reply in history if reply.ok is not None] == []
-    node.close()
 
 
-def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session) -> None:
-    node, _ = open_node(settings("r-1"))
-    wait_until(lambda: bool(watcher.info.peers_zid()))
+def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session, node: ZenohNode) -> None:
     replies = [watcher.get("fleet/r-1/gateway/info", timeout=20) for _ in range(5)]
     answered: list[int] = []
 
@@ -136,7 +140,6 @@ def test_queries_are_answered_a_bounded_number_at_a_time(watcher: zenoh.Session)
     assert max(answered) <= zenoh_node.QUERIES_PER_TICK
     for handler in replies:
         assert [reply.ok is not None for reply in handler] == [True]
-    node.close()
 
 
 def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
@@ -171,9 +174,7 @@ def test_who_takes_nothing_holds_nobody_else_up(default_endpoint: str) -> None:
     node.close()
 
 
-def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
-    node, _ = open_node(settings("r-1"))
-    wait_until(lambda: bool(watcher.info.peers_zid()))
+def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session, node: ZenohNode) -> None:
     for number in range(3 * KEPT_PIECE):
         node.publish(Sample("journal", b"%d" % number))
 
@@ -193,7 +194,6 @@ def test_what_is_kept_is_given_piece_by_piece(watcher: zenoh.Session) -> None:
     assert ask(f"?first={3 * KEPT_PIECE - 1}") == [b"%d" % (3 * KEPT_PIECE - 1)]
     for parameters in ("", "?first=-1", "?first=x", "?first=" + "9" * 5000, "?first=4294967296", "?first=\u0665"):
         assert ask(parameters) == []
-    node.close()
 
 
 def test_a_closed_session_is_a_count_not_an_exception(default_endpoint: str) -> None:
