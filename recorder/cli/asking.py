@@ -29,18 +29,12 @@ JSON_HELP: Final = "print JSON"
 _EXTRA: Final = {**dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"), "obstore": "upload"}
 """Libraries, and the extras that bring them."""
 
-NAMES_SHOWN: Final = 12
-"""Limit of robots that are named in a line."""
-
-BUDGET_S: Final = 30.0
-"""Time after which reading is given up."""
-
-BUDGET_S_PER_BYTE: Final = 1e-6
-"""Time added for each byte of the logs: a second per megabyte."""
+NAMES_SHOWN: Final = 12  # limit of robots that are named in a line
+BUDGET_S: Final = 30.0  # time after which reading is given up
+BUDGET_S_PER_BYTE: Final = 1e-6  # time added for each byte of the logs: a second per megabyte
 
 
-LAST_NS: Final = 2**63 - 1
-"""The last time that fits into 64 bits with a sign; MCAP's times have no sign."""
+LAST_NS: Final = 2**63 - 1  # the last time that fits into 64 bits with a sign; MCAP's times have no sign
 
 
 class Asked(msgspec.Struct):

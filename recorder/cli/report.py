@@ -35,8 +35,7 @@ DESCRIPTION: Final = (
 
 DEFAULT_FILE: Final = "report.html"
 
-WHYS_MAX: Final = 100
-"""Limit of stops that are explained; each takes a tenth of a second."""
+WHYS_MAX: Final = 100  # limit of stops that are explained; each takes a tenth of a second
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,7 @@ from typing import Final
 from recorder.cli.asking import Asked
 from recorder.review.tasks import TaskRunner
 
-LITTLE_BYTES: Final = 4_000_000
-"""Logs of fewer bytes in all are read before another process has started."""
+LITTLE_BYTES: Final = 4_000_000  # logs of fewer bytes in all are read before another process has started
 
 
 def add_task_runner(parser: argparse.ArgumentParser) -> None:

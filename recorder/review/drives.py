@@ -19,26 +19,22 @@ from schemas.decisions import Severity
 from schemas.messages import Odometry
 from schemas.reasons import Reason
 
-REST_NS: Final = 600_000_000_000
-"""A shorter rest belongs to the drive."""
+REST_NS: Final = 600_000_000_000  # a shorter rest belongs to the drive
 
 MARGIN_NS: Final = 10_000_000_000
 """The time before and after a drive that belongs to it: what led to it, and how its stop ended."""
 
-DRIVES_MAX: Final = 500
-"""Limit of drives that are listed; others are only counted."""
+DRIVES_MAX: Final = 500  # limit of drives that are listed; others are only counted
 
 CLOCK_STEP_NS: Final = 600_000_000_000
 """A time that goes back further is a step of the clock; one that goes back less, a repeated sample."""
 
 STANDING_MPS: Final = 0.02
-JUMP_MPS: Final = 0.5
-"""A larger change from one sample to the next is a wrong scale or frame, not motion."""
+JUMP_MPS: Final = 0.5  # a larger change from one sample to the next is a wrong scale or frame, not motion
 
 SPEED_MAX_MPS: Final = 100.0
 
-DIED: Final = "gateway_died"
-"""The cause of a stop without a known reason."""
+DIED: Final = "gateway_died"  # the cause of a stop without a known reason
 
 BY_OPERATORS: Final = frozenset(
     {Reason.REMOTE_STOP.value, Reason.HAND_TRANSMITTER.value, Reason.LEASE_TAKEN.value}
@@ -46,8 +42,7 @@ BY_OPERATORS: Final = frozenset(
 """Causes of stops by operators; all others are faults."""
 
 ENTRIES_MAX: Final = 2000
-ERRORS_MAX: Final = 500
-"""Errors kept beyond these: a thousand leases must not hide a gateway that died."""
+ERRORS_MAX: Final = 500  # errors kept beyond these: a thousand leases must not hide a gateway that died
 
 GAPS_MAX: Final = 200
 
@@ -216,11 +211,9 @@ class Drives:
         self.worst: Entry | None = None
         self._drives: list[RecordedDrive] = []
         self._now: RecordedDrive | None = None
-        self._gaps: dict[int, int] = {}
-        """The starts of the newest gaps in the states, by their ends."""
+        self._gaps: dict[int, int] = {}  # the starts of the newest gaps in the states, by their ends
         self._cause = ""
-        self._stop_at: int | None = None
-        """The newest stop's place among the entries, if it was kept."""
+        self._stop_at: int | None = None  # the newest stop's place among the entries, if it was kept
 
     def move(self, time_ns: int, log_ns: int, speed_mps: float | None, angle_deg: float = 0.0) -> float | None:
         """Add a sample of speed and steering. Returns the same as ``SpeedMeter.add``."""

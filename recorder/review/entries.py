@@ -25,20 +25,14 @@ from schemas.reasons import AS_ASKED, Reason
 from schemas.requests import Tick
 from schemas.settings import TICK_NS
 
-NEAR_NS: Final = 1_000_000_000
-"""Clocks that differ by less agree."""
+NEAR_NS: Final = 1_000_000_000  # clocks that differ by less agree
 
 FAR_NS: Final = 60_000_000_000
 """No sample takes this long: a larger difference is the clock's, from the first sample on."""
 
-_SURE_AFTER: Final = 5
-"""Samples that must agree before a clock counts as behind by less than ``FAR_NS``."""
-
-SETTLE_NS: Final = 3_000_000_000
-"""Time over which they must be received: samples that waited come in one burst."""
-
-_TICKS_NEAR: Final = 500
-"""Over so many ticks (5 s) the tick measures time."""
+_SURE_AFTER: Final = 5  # samples that must agree before a clock counts as behind by less than ``FAR_NS``
+SETTLE_NS: Final = 3_000_000_000  # time over which they must be received: samples that waited come in one burst
+_TICKS_NEAR: Final = 500  # over so many ticks (5 s) the tick measures time
 
 
 class RobotClock:
@@ -58,8 +52,7 @@ class RobotClock:
         self.corrected_ns = 0
         self._tick: int | None = None
         self._publish_ns = self._log_ns = 0
-        self._told_ns = 0
-        """The offset of the last entry about it."""
+        self._told_ns = 0  # the offset of the last entry about it
         self._begin(0)
 
     def _begin(self, log_ns: int) -> None:
@@ -157,14 +150,12 @@ class EntryKind(Enum):
     END = "end"
 
 
-OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}
-"""A newer version may have others."""
+OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}  # a newer version may have others
 
 STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 """Entries that end the command of the robot without a request for it."""
 
-ENDS: Final = STOPS | {EntryKind.END}
-"""Those, and the ends that a client asked for."""
+ENDS: Final = STOPS | {EntryKind.END}  # those, and the ends that a client asked for
 
 
 def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
@@ -333,8 +324,7 @@ class Stops:
     """Finds the stops among the entries of one robot, by time."""
 
     def __init__(self) -> None:
-        self._caused_ns: int | None = None
-        """The time of the stop's newest cause; None once the robot is engaged."""
+        self._caused_ns: int | None = None  # the time of the stop's newest cause; None once the robot is engaged
         self._has_guard_latch = False
 
     def mark(self, entry: Entry) -> Entry:
@@ -361,22 +351,17 @@ class Stops:
         return entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
 
 
-IDS_KEPT: Final = 50_000
-"""Samples of a topic that are remembered: a quarter of an hour of decisions."""
+IDS_KEPT: Final = 50_000  # samples of a topic that are remembered: a quarter of an hour of decisions
 
 PIECES_MAX: Final = 1000
 
-SPELL_NS: Final = 2_500_000_000
-"""Similar entries within this time of each other are one spell."""
+SPELL_NS: Final = 2_500_000_000  # similar entries within this time of each other are one spell
 
 LATE_NS: Final = 60_000_000_000
 """A spell ends after this time without an addition; messages that were queried late may come out of order."""
 
-SPELLS_MAX: Final = 10_000
-"""Limit of open spells; beyond it the oldest ends."""
-
-NAMES_MAX: Final = 30
-"""Limit of names in a spell; a chassis has ten feedback frames."""
+SPELLS_MAX: Final = 10_000  # limit of open spells; beyond it the oldest ends
+NAMES_MAX: Final = 30  # limit of names in a spell; a chassis has ten feedback frames
 
 
 class SequenceHole(msgspec.Struct, frozen=True):

@@ -60,11 +60,8 @@ LATER_NS: Final = 15 * 60 * 1_000_000_000
 BEFORE_NS: Final = 5 * 1_000_000_000
 """States are read from this long before the wanted time, so that a change at its start is seen."""
 
-SILENT_NS: Final = 1_000_000_000
-"""A longer time without states is a gap; they come 20 times a second."""
-
-HOLDERS_KEPT: Final = 10_000
-"""Limit of changes of the lease that are kept."""
+SILENT_NS: Final = 1_000_000_000  # a longer time without states is a gap; they come 20 times a second
+HOLDERS_KEPT: Final = 10_000  # limit of changes of the lease that are kept
 
 _UNTOLD: Final = frozenset(
     {"drive", "renew", "acquire", "take", "release", "engage", "disengage", "stop", "reset"}
@@ -162,12 +159,9 @@ class RobotTrack:
         self.is_shared = False
         self.steps: list[tuple[int, int]] = []
         self.hung = (0, 0)
-        self.doubtful: _Held | None = None
-        """A gap that may be a step of the clock."""
-        self.begun: list[_Held] = []
-        """Entries about the last restart."""
-        self.died: _Held | None = None
-        """The death that a recorder reported, until a state comes again."""
+        self.doubtful: _Held | None = None  # a gap that may be a step of the clock
+        self.begun: list[_Held] = []  # entries about the last restart
+        self.died: _Held | None = None  # the death that a recorder reported, until a state comes again
         self._holders: deque[tuple[int, str]] = deque(maxlen=HOLDERS_KEPT)
         self._runs: list[int] = []
         self._state_runs: list[int] = []

@@ -54,11 +54,8 @@ Finder = Callable[[EvidenceWindow], list[Link]]
 
 _ABSURD: Final = {signal: rule.maximum for _, signal, rule in RULES if isinstance(rule, Within)}
 
-WAITED_NS: Final = 1_000_000
-"""A frame that waited for longer than this is reported with its wait."""
-
-LATELY_NS: Final = 3_000_000_000
-"""Refusals within this time before the moment are shown."""
+WAITED_NS: Final = 1_000_000  # a frame that waited for longer than this is reported with its wait
+LATELY_NS: Final = 3_000_000_000  # refusals within this time before the moment are shown
 
 _FRAMES: Final = "the frames of this time"
 _REQUESTS: Final = "the requests of this time"

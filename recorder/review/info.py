@@ -25,8 +25,7 @@ from recorder.record.robots import METADATA_NAME
 from schemas import keys
 from schemas.subjects import RECORDER_CHUNK
 
-CUT_NAME: Final = "cruiser.cut"
-"""The metadata record of a part of a log: its time, topics and source files."""
+CUT_NAME: Final = "cruiser.cut"  # the metadata record of a part of a log: its time, topics and source files
 
 
 class LogSourceInfo(Enum):

@@ -66,8 +66,7 @@ _PHASES: Final = {
 _DOUBTFUL: Final = frozenset({Reason.IMPLAUSIBLE_SPEED, Reason.VARIANT_UNKNOWN})
 """Reasons that make the chassis's reported speeds unreliable."""
 
-_UNSEEN_NS: Final = 150_000_000
-"""Without drive feedback for longer, the distance is not known."""
+_UNSEEN_NS: Final = 150_000_000  # without drive feedback for longer, the distance is not known
 
 _STANDS_NS: Final = STANDSTILL_TICKS * TICK_NS
 
@@ -156,11 +155,8 @@ def standstill(window: EvidenceWindow, over_ns: int, *, is_doubtful: bool) -> Li
     return Link(Step.ACTION, text, stood.time_ns, data)
 
 
-FRESH_NS: Final = 500_000_000
-"""Older feedback does not describe the moment; the slowest frame comes every 50 ms."""
-
-_STILL_MPS: Final = 0.005
-"""Speeds below this are shown as 0.00 m/s."""
+FRESH_NS: Final = 500_000_000  # older feedback does not describe the moment; the slowest frame comes every 50 ms
+_STILL_MPS: Final = 0.005  # speeds below this are shown as 0.00 m/s
 
 PLAIN: Final = frozenset({Reason.STOPPING, Reason.NOT_ENGAGED, Reason.ENGAGING, Reason.NO_LEASE})
 """Reasons that only say that the robot is not engaged."""
@@ -340,8 +336,7 @@ def _fresh(now: EvidenceWindow, kind: type[Said]) -> Heard[Said] | None:
     return heard if heard is not None and now.at_ns - heard.time_ns <= FRESH_NS else None
 
 
-KEPT: Final = 50_000
-"""Entries of a story; the oldest go first."""
+KEPT: Final = 50_000  # entries of a story; the oldest go first
 
 _TELLS: Final = ENDS | {
     EntryKind.LATCH,

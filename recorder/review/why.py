@@ -40,14 +40,9 @@ from schemas.messages import Drive, TimeNs
 from schemas.reasons import ASKED_BY, TEXTS, Reason
 from schemas.settings import SAFETY_STATE_PERIOD_NS, STANDSTILL_MPS
 
-SOON_NS: Final = 1_000_000_000
-"""The question is about a stop that begins within this time after the moment."""
-
-STALE_NS: Final = 500_000_000
-"""An older state does not describe the moment; states come every 50 ms."""
-
-LOOKED_AT_NS: Final = 5_000_000_000
-"""Gaps in the states are reported within this time before the moment."""
+SOON_NS: Final = 1_000_000_000  # the question is about a stop that begins within this time after the moment
+STALE_NS: Final = 500_000_000  # an older state does not describe the moment; states come every 50 ms
+LOOKED_AT_NS: Final = 5_000_000_000  # gaps in the states are reported within this time before the moment
 
 SHARED: Final = "Two gateways use this name: the log does not show which of them did what."
 

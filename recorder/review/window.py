@@ -114,8 +114,7 @@ def count(number: int, one: str) -> str:
     return f"{number} {one}{'' if number == 1 else 's'}"
 
 
-BEFORE_NS: Final = 12_000_000_000
-"""Length of the window before its moment: a little more than the longest lease."""
+BEFORE_NS: Final = 12_000_000_000  # length of the window before its moment: a little more than the longest lease
 
 AFTER_NS: Final = 9_000_000_000
 """Length of the window after its moment: the longest stop takes 7 s, then hold and silence follow."""
@@ -123,17 +122,10 @@ AFTER_NS: Final = 9_000_000_000
 LATER_NS: Final = 900_000_000_000
 """Decisions that the recorder queried afterwards are searched for this long after the moment."""
 
-KEPT: Final = 5_000
-"""Limit of messages of each class, and of frames of each identifier; the oldest are dropped."""
-
-REACH_NS: Final = 5_000_000_000
-"""If a frame seems to have waited longer, the adapter has another clock."""
-
-LINK_NS: Final = 1_500_000_000
-"""Longest usual time between publication and receipt."""
-
-STALL_NS: Final = 2_000_000_000
-"""The longest delay of a sample that a link still delivers."""
+KEPT: Final = 5_000  # limit of messages of each class, and of frames of each identifier; the oldest are dropped
+REACH_NS: Final = 5_000_000_000  # if a frame seems to have waited longer, the adapter has another clock
+LINK_NS: Final = 1_500_000_000  # longest usual time between publication and receipt
+STALL_NS: Final = 2_000_000_000  # the longest delay of a sample that a link still delivers
 
 _TICKS_NEAR: Final = 500
 

@@ -28,8 +28,7 @@ from recorder.review.report.findings import (
 from schemas.decisions import COMMANDING, ArbiterState, Decision, SafetyEvent, SafetyState, Verdict
 from schemas.messages import GatewayHealth, GatewayInfo, Message, Mode, Odometry, RobotState, Variant
 
-MOST: Final = 200
-"""Limit of gateways and configurations."""
+MOST: Final = 200  # limit of gateways and configurations
 
 UNKNOWN: Final = Variant.UNKNOWN.value
 _PACKAGE: Final = "versions."
@@ -75,23 +74,15 @@ OTHERS: Final = "(others)"
 REFUSALS_MAX: Final = 200
 DRIVERS_MAX: Final = 200
 
-DRAWN_MAX: Final = 30
-"""Limit of drives that are drawn, the newest ones; the others get a command."""
-
-WHOLE_SHARES: Final = 4
-"""So many drives are drawn in full resolution; more share the same number of points."""
-
-REMEMBERED: Final = 4096
-"""Messages of a subject that are recognised when they come a second time."""
-
-CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000
-"""A time further from its receipt is not used."""
+DRAWN_MAX: Final = 30  # limit of drives that are drawn, the newest ones; the others get a command
+WHOLE_SHARES: Final = 4  # so many drives are drawn in full resolution; more share the same number of points
+REMEMBERED: Final = 4096  # messages of a subject that are recognised when they come a second time
+CLOCK_TRUST_NS: Final = 24 * 3600 * 1_000_000_000  # a time further from its receipt is not used
 
 CLOCKS_APART_NS: Final = 2_000_000_000
 """The largest difference of the robot's clock and the recorder's that is not corrected."""
 
-_ANGLE_MAX_DEG: Final = 80.0
-"""The chassis steers to 24 deg; a value beyond sense must not end the path."""
+_ANGLE_MAX_DEG: Final = 80.0  # the chassis steers to 24 deg; a value beyond sense must not end the path
 
 TAKEN: Final[frozenset[type[msgspec.Struct]]] = frozenset(
     {RobotState, Odometry, SafetyState, SafetyEvent, Decision, GatewayHealth}

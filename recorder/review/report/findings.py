@@ -22,8 +22,7 @@ from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import Mode, RobotState
 from schemas.reasons import TEXTS
 
-BUCKETS_MAX: Final = 1500
-"""More than a chart is wide in pixels."""
+BUCKETS_MAX: Final = 1500  # more than a chart is wide in pixels
 
 BREAKS_MAX: Final = 1000
 SPANS_MAX: Final = 600
@@ -41,8 +40,7 @@ LINES: Final = (
 )
 """Values drawn over time, in the order of ``page.js``."""
 
-BANDS: Final = ("mode", "arbiter", "lease")
-"""The chassis's mode, the arbiter's state, and the holder of the lease."""
+BANDS: Final = ("mode", "arbiter", "lease")  # the chassis's mode, the arbiter's state, and the holder of the lease
 
 TARGETS: Final = frozenset({"target_speed_mps", "target_angle_deg"})
 """Requested values. States repeat them; they hold only while the arbiter is engaged."""
@@ -370,11 +368,8 @@ class Report(msgspec.Struct, frozen=True):
         return [(robot.summary, one) for robot in self.robots for one in robot.drawn]
 
 
-STANDING_M: Final = 0.05
-"""A shorter path is the noise of a standing robot."""
-
-SHOWN: Final = 8
-"""Limit of items in a line; tables show all."""
+STANDING_M: Final = 0.05  # a shorter path is the noise of a standing robot
+SHOWN: Final = 8  # limit of items in a line; tables show all
 
 ABSENT: Final = "not in the log"
 

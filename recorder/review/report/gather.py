@@ -32,8 +32,7 @@ from schemas.recording import RecorderEvent, RecordGap
 ROBOTS_MAX: Final = 30
 OTHERS_MAX: Final = 5000
 
-REMEMBERED: Final = 256
-"""Messages of recorders that are recognised when they come a second time."""
+REMEMBERED: Final = 256  # messages of recorders that are recognised when they come a second time
 
 _OF_ROBOTS: Final = TAKEN | {GatewayInfo}
 _OF_RECORDERS: Final = frozenset({RecordGap, RecorderEvent})

@@ -134,12 +134,10 @@ def _path(places: Sequence[Place]) -> dict[str, Sequence[float]]:
     }
 
 
-MOMENTS_SHOWN: Final = 300
-"""Limit of rows in the table of events; the chart has all."""
+MOMENTS_SHOWN: Final = 300  # limit of rows in the table of events; the chart has all
 
 DRIVES_SHOWN: Final = 1000
-_OPENED: Final = 15
-"""A longer table is folded."""
+_OPENED: Final = 15  # a longer table is folded
 
 _ZOOM: Final = "Drag to zoom, with shift to pan; click twice to go back."
 _RANKS: Final = {Severity.ERROR: -2, Severity.WARNING: -1}
