@@ -32,13 +32,12 @@ DESCRIPTION: Final = (
     "records. 'check' verifies that it is true. Exit code 3 if a file is not whole, unless a recorder is writing "
     "it, or if it takes too long to read."
 )
-JSON_HELP: Final = "print a JSON object a line for each file, and for several files one for all at the end"
 
 _LOSSES: Final = ("lost_source", "lost_link", "lost_queue", "lost_size", "lost_full", "lost_disk")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_logs(parser, json_help=JSON_HELP)
+    add_logs(parser, json_help="print a JSON object for each file, and for several files one for all at the end")
     add_robots(parser)
 
 

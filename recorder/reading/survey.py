@@ -19,16 +19,13 @@ from schemas.configuration import TomlSource, merge
 from schemas.messages import GatewayInfo
 from schemas.settings import Settings
 
-FORMER_DIGEST: Final = "cruiser.events"
-"""The attachment in which logs of earlier versions repeat their events; it is ignored."""
-
 
 class Survey(msgspec.Struct):
     """Topics, metadata and attachments of some logs.
 
     Attributes:
         metadata: name and entries of each record, in the order of the files.
-        attachments: by log time, without the digest of events.
+        attachments: by log time.
     """
 
     topics: dict[str, Topic]
@@ -59,11 +56,7 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
     if summary is None:
         return False
     with suppress(DamagedError):
-        attachments = [
-            record_at(stream, one.offset, records.Attachment)
-            for one in summary.attachments
-            if one.name != FORMER_DIGEST
-        ]
+        attachments = [record_at(stream, one.offset, records.Attachment) for one in summary.attachments]
         metadata = [record_at(stream, one.offset, records.Metadata) for one in summary.metadata]
         if None not in [*attachments, *metadata]:
             for _, topic in Declared(log.namesakes).take_summary(summary):
@@ -80,7 +73,7 @@ def _by_records(stream: BinaryIO, log: LogFile, found: Survey, faults: Faults) -
         pass
     for topic in reader.topics.values():
         found.topics.setdefault(topic.name, topic)
-    found.attachments += [one for one in reader.attachments if one.name != FORMER_DIGEST]
+    found.attachments += reader.attachments
     found.metadata += reader.metadata
 
 

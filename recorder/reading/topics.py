@@ -124,10 +124,7 @@ Decode = Callable[[bytes], Any]
 
 DECODERS_KEPT: Final = 256
 
-RECONSTRUCTED_CHUNK: Final = "@reconstructed"
-"""Earlier versions wrote samples reconstructed from a journal to the topic ``{key}/@reconstructed``."""
-
-_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK, RECONSTRUCTED_CHUNK)
+_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
 """The last chunks of topics beside the topic of a key."""
 
 _BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}

@@ -16,7 +16,7 @@ from recorder.review.window import (
     EvidenceWindow,
     Heard,
     Link,
-    count,
+    counted,
     deg,
     evidence,
     missing,
@@ -125,7 +125,7 @@ def _frame(window: EvidenceWindow, name: str) -> Link:
     text += f"; {len(waiting)} more were on the bus, not read yet" if waiting else ""
     if broken:
         last = broken[-1]
-        text += f"; in the second before {len(broken)} of {count(len(lately), 'frame')} had a wrong checksum, "
+        text += f"; in the second before {len(broken)} of {counted(len(lately), 'frame')} had a wrong checksum, "
         text += f"the last: {last}, which should end with {last.checksum:02X}"
     if not frames or good is not frames[-1]:
         seen = [str(frame.alive_counter) for frame in lately[-8:] if frame.is_whole]
@@ -199,7 +199,7 @@ def _commanders(window: EvidenceWindow) -> list[Link]:
     if not near:
         return [missing("the other computer's frames")]
     last = near[-1]
-    text = f"{count(len(near), 'command frame')} that this gateway did not send arrived in the "
+    text = f"{counted(len(near), 'command frame')} that this gateway did not send arrived in the "
     text += f"{span(COMMANDER_NS)} up to {window.what}; the last: {last}"
     first_before_ms = (window.at_ns - near[0].time_ns) / 1e6
     return [evidence(text, last.time_ns, frames=len(near), first_before_ms=first_before_ms)]
@@ -254,7 +254,7 @@ def _load(window: EvidenceWindow) -> list[Link]:
     found = []
     if window.has_frames:
         waiting = sum(len(window.waiting(identifier)) for identifier in BY_IDENTIFIER)
-        text = f"the arbiter read {count(window.received, 'frame')} in the second before; "
+        text = f"the arbiter read {counted(window.received, 'frame')} in the second before; "
         text += f"unread frames for {span(BEHIND_NS)} are a fault"
         text += f"; {waiting} were on the bus, not read yet" if waiting else ""
         found.append(evidence(text, window.at_ns, frames_per_s=window.received, waiting=waiting))
@@ -268,7 +268,7 @@ def _unsent(window: EvidenceWindow) -> list[Link]:
     if not short:
         return [missing(_REQUESTS)]
     least, most = (pick(one.said.frames_sent for one in short) for pick in (min, max))
-    text = f"in the second before, {least} to {most} of five frames were sent in {count(len(short), 'tick')} "
+    text = f"in the second before, {least} to {most} of five frames were sent in {counted(len(short), 'tick')} "
     text += f"with a request; {SEND_FAILURES} such ticks in a row are a fault"
     return [evidence(text, short[0].time_ns, decisions=len(short), frames_sent_min=least)]
 
@@ -481,7 +481,7 @@ def _numbers(said: Decision) -> dict[str, object]:
 
 def _holes(window: EvidenceWindow) -> list[Link]:
     lacks = window.lacks_decisions
-    return [missing(f"{count(lacks, 'decision')} of these seconds")] if lacks else []
+    return [missing(f"{counted(lacks, 'decision')} of these seconds")] if lacks else []
 
 
 EVIDENCE: Final[dict[Reason, Finder]] = {

@@ -28,7 +28,7 @@ from recorder.review.window import (
     Link,
     Step,
     before,
-    count,
+    counted,
     evidence,
     limits_at,
     missing,
@@ -257,7 +257,7 @@ class _Answer:
         refused = _refused_before(evidence_of(focus.reason)(self._now)) if focus.reason is Reason.DEADMAN else None
         if refused is None or "refused" in why:
             return why
-        return f"{why}; {count(refused[1], 'drive command')} refused: {TEXTS[refused[0]].means}"
+        return f"{why}; {counted(refused[1], 'drive command')} refused: {TEXTS[refused[0]].means}"
 
     def _command(self) -> list[Link]:
         found = refused_lately(self._now) if self._state is not None else []
@@ -386,7 +386,7 @@ class _Answer:
             return
         after_ns = frames[0].bus_time_ns - hang.time_ns
         text = f"the guard began {span(after_ns)} after the last state: it sent "
-        text += f"{count(len(frames), 'frame')}, the first: {frames[0]}"
+        text += f"{counted(len(frames), 'frame')}, the first: {frames[0]}"
         yield evidence(text, frames[0].bus_time_ns, frames=len(frames), after_ms=after_ns / 1e6)
 
     def _latch(self, reason: Reason, focus: Entry | None = None) -> Link:

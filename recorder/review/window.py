@@ -110,7 +110,7 @@ def mps(speed_mps: float) -> str:
     return f"{round(speed_mps, 2) + 0.0:.2f} m/s"
 
 
-def count(number: int, one: str) -> str:
+def counted(number: int, one: str) -> str:
     return f"{number} {one}{'' if number == 1 else 's'}"
 
 

@@ -18,6 +18,7 @@ from recorder.reading.times import in_words
 from recorder.record.accounting import KeyReport, total
 from recorder.review.drives import DIED, Outage, RecordedDrive, operators_stops
 from recorder.review.entries import Entry, EntryKind
+from recorder.review.window import counted
 from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import Mode, RobotState
 from schemas.reasons import TEXTS
@@ -527,10 +528,6 @@ def who(moment: Entry) -> str:
 
 def reason_words(reason: str) -> str:
     return _WORDS.get(reason, reason)
-
-
-def counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:

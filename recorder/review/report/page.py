@@ -40,7 +40,6 @@ from recorder.review.report.findings import (
     RobotReport,
     RobotSummary,
     Why,
-    counted,
     drive_distance,
     duration,
     is_lossy,
@@ -52,6 +51,7 @@ from recorder.review.report.findings import (
     verdict,
     who,
 )
+from recorder.review.window import counted
 from schemas.command_line import plain
 from schemas.decisions import Severity
 from schemas.reasons import Reason

@@ -57,8 +57,8 @@ def test_a_key_of_ours_tells_robot_and_subject() -> None:
     assert (topic().robot, topic().subject, topic().kind) == ("cruiser-1", "chassis/gear", Gear)
     assert (topic("/elsewhere").robot, topic("/elsewhere").subject) == ("", "")
     assert topic("fleet/r/can/can7/rx").subject == "can/{bus}/rx"
-    made_again = topic("fleet/r/chassis/gear/@reconstructed")
-    assert (made_again.robot, made_again.owner, made_again.subject) == ("", "r", "")
+    beside = topic("fleet/r/chassis/gear/@raw")
+    assert (beside.robot, beside.owner, beside.subject) == ("", "r", "")
 
 
 @pytest.mark.parametrize("number", [-1, 1000])
