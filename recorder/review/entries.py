@@ -219,9 +219,9 @@ FAILURES_IN_WORDS: Final = {
 }
 
 _FRAME_COUNTS: Final[tuple[tuple[str, str, str], ...]] = (
-    ("checksum_faults", "checksum", "frames with a wrong checksum"),
-    ("implausible", "implausible", "frames with an impossible value"),
-    ("lost", "alive_lost", "missing frames"),
+    ("checksum_faults", "checksum", "wrong checksum"),
+    ("implausible", "implausible", "impossible value"),
+    ("lost", "alive_lost", "frame missing"),
 )
 """Counters of each frame whose rise makes an entry, and the kind of fault that needs no further entry then."""
 
@@ -229,16 +229,16 @@ DROPPED: Final = "inbox_drops"
 
 _COUNTS: Final[tuple[tuple[str, str], ...]] = (
     ("bus_losses", "the CAN bus was lost"),
-    ("bus_drops", "frames were dropped: not read in time, or garbled"),
-    ("publish_failures", "Zenoh did not accept samples"),
-    (DROPPED, "requests were dropped unread: too many arrived"),
+    ("bus_drops", "frame dropped: not read in time, or garbled"),
+    ("publish_failures", "Zenoh did not accept a sample"),
+    (DROPPED, "request dropped unread: too many arrived"),
 )
 """Counters since the gateway's start whose rise makes an entry."""
 
 _HARMLESS: Final = frozenset({"unknown_identifier", "remote_frame", "error_frame", "fd_frame"})
 """Mostly frames of other nodes on the bus."""
 
-_FAULTS: Final = {"period": "frames came irregularly", "silence": "frames did not come"}
+_FAULTS: Final = {"period": "frame at a wrong interval", "silence": "frame did not come"}
 """Kinds of faults in words, without a frame's name."""
 
 
@@ -294,7 +294,7 @@ def _counts(before: GatewayHealth, now: GatewayHealth) -> Iterator[Risen]:
         rise = count - before.faults.get(kind, 0)
         if rise > 0 and kind not in said:
             severity = Severity.INFO if kind in _HARMLESS else Severity.WARNING
-            words = _FAULTS.get(kind, f"faults of frames: {kind}")
+            words = _FAULTS.get(kind, f"fault of a frame: {kind}")
             yield Risen(f"fault {kind}", words, rise, severity=severity)
     for field, words in _COUNTS:
         rise = getattr(now, field) - getattr(before, field)

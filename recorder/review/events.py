@@ -194,7 +194,7 @@ class RobotTrack:
         """The gateway's newest state and commanded speed in words."""
         if self.state is None or not self.is_active:
             return "standby"
-        return f"{self.state.state.value}, commanded {self.state.output_speed_mps:.2f} m/s"
+        return f"{self.state.state.value}, commanded {round(self.state.output_speed_mps, 2) + 0.0:.2f} m/s"
 
     def hear_state(self, state: SafetyState, sequence: int, time_ns: int, log_ns: int) -> None:
         if not self._holders or self._holders[-1][1] != state.lease_holder:
@@ -510,7 +510,7 @@ class Timeline:
             text, is_dated = one.text, was is None or one.is_end
             if one.what == DROPPED and was_ns <= robot.hung[1] <= time_ns:
                 seconds = (robot.hung[1] - robot.hung[0]) / 1e9
-                text = f"requests were dropped unread: the loop did not read for {seconds:.1f} s"
+                text = f"request dropped unread: the loop hung for {seconds:.1f} s"
             began_ns = time_ns if is_dated else was_ns
             text += "" if is_dated else " (after this time, by the next gateway/health)"
             more = {"severity": one.severity, "source": EntrySource.HEALTH, "last_ns": time_ns, "count": one.count}

@@ -128,16 +128,16 @@ ILL = health(
 )
 SILENT = health(feedback=frames(failures=["silence"]), faults={"silence": 2})
 
-CHECKSUMS = "warning 3x this: frames with a wrong checksum"
+CHECKSUMS = "warning 3x this: wrong checksum"
 NO_BUS = "error 1x: the CAN bus can0 is down"
 
 HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (ILL, ILL, []),
     (None, WELL, []),
-    (WELL, health(faults={"period": 5}), ["warning 5x: frames came irregularly"]),
+    (WELL, health(faults={"period": 5}), ["warning 5x: frame at a wrong interval"]),
     (WELL, health(feedback=frame(checksum_faults=3)), [CHECKSUMS]),
     (WELL, health(feedback=frame(failures=["silence"])), ["warning 1x this: silent"]),
-    (WELL, health(inbox_drops=5), ["warning 5x: requests were dropped unread: too many arrived"]),
+    (WELL, health(inbox_drops=5), ["warning 5x: request dropped unread: too many arrived"]),
     (WELL, health(bus_up=False, bus_detail="no such device"), [f"{NO_BUS}: no such device"]),
     (
         WELL,
@@ -153,14 +153,14 @@ HEALTHS: list[tuple[GatewayHealth | None, GatewayHealth, list[str]]] = [
     (
         WELL,
         health(faults={"checksum": 3, "length": 1}, feedback=frame(checksum_faults=3)),
-        [CHECKSUMS, "warning 1x: faults of frames: length"],
+        [CHECKSUMS, "warning 1x: fault of a frame: length"],
     ),
     (health(feedback=frames()), SILENT, ["warning 2x both: silent"]),
     # What was only late is counted once it has come, and so may have been lost long before.
     (
         SILENT,
         health(feedback=frames(lost=50), faults={"silence": 2}),
-        ["over info 2x both: recovered (silence)", "over warning 100x both: missing frames"],
+        ["over info 2x both: recovered (silence)", "over warning 100x both: frame missing"],
     ),
 ]
 ABOUT = {(): "", (FRAME.name,): " this", NAMES: " both"}

@@ -132,7 +132,7 @@ A 0-200; stop 150; A 200-400 -360000; stop 350 -360000
     -359650 stop info 1x: stop 1
 == a gateway that hung is no dead one
 A 0-200 driven; health 100; gone 210; A 200-300 +398 driven; health 700 dropped; A 300-305 +398 driven
-    100 fault warning 10x: requests were dropped unread: the loop did not read for 4.0 s AFTER
+    100 fault warning 10x: request dropped unread: the loop hung for 4.0 s AFTER
     195 gap warning 1x: no arbiter state for 4.0 s: the gateway ran 5 ticks in that time, its loop hung
     210 gateway warning 1x: the recorder received nothing from the gateway for 4.0 s, then the same run \
 continued: its loop had hung
