@@ -100,11 +100,9 @@ class SocketcandBus:
         return frame_of((line[max(line.rfind(b"<"), 0) :] + end).decode("ascii"))
 
     def send(self, frame: Frame) -> None:
-        """Hand a frame to the connection."""
         self.stream.sendall(send_line(frame))
 
     def shutdown(self) -> None:
-        """Hang up."""
         self.stream.close()
 
 
@@ -212,7 +210,6 @@ class CanBus:
         self._keeps_epoch: bool | None = None
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """Return the next frame, or None after the timeout. Raises BusLost: the bus is gone."""
         while True:
             try:
                 frame = self._driver.recv(timeout_s)
@@ -228,7 +225,6 @@ class CanBus:
             return frame if self._is_in_time(frame) else msgspec.structs.replace(frame, wall_ns=time.time_ns())
 
     def _drop(self, error: Exception) -> None:
-        """Count an unreadable line. Raises BusLost."""
         if isinstance(error, OSError):
             raise BusLost(first_line(error)) from error
         self.drops += 1
@@ -274,7 +270,6 @@ class CanBus:
         raise BusLost("the server no longer reads what is sent")
 
     def close(self) -> None:
-        """Close the bus. Never raises."""
         try:
             self._driver.shutdown()
         except Exception as error:  # noqa: BLE001 - foreign code raises what it likes
@@ -403,7 +398,6 @@ class SocketCanBus:
             raise BusLost(_in_words(error)) from error
 
     def close(self) -> None:
-        """Close the interface. Never raises."""
         try:
             self._socket.close()
         except OSError as error:

@@ -54,12 +54,10 @@ def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
 
 
 def describe(settings: CanSettings) -> str:
-    """Name the bus for people."""
     return f"{settings.interface} {settings.channel}"
 
 
 def _socketcand_place(settings: CanSettings) -> tuple[str, int, str]:
-    """Return host, port, and the name of the bus there."""
     address, _, name = settings.channel.partition("/")
     host, colon, port = address.rpartition(":")
     if not colon or not port.isdecimal() or not 0 < int(port) < 65536:
@@ -109,7 +107,6 @@ class BusClaim:
 
 
 def count_claims(settings: CanSettings) -> int:
-    """Count the gateways on this computer that command a bus."""
     try:
         taken = {line.rpartition(" ")[2].strip() for line in SOCKETS.read_text("ascii").splitlines()}
     except OSError:
@@ -195,7 +192,6 @@ class ReconnectingBus:
         return len(frames)
 
     def close(self) -> None:
-        """Close the bus."""
         self._closing.set()
         if self._thread is not None:
             self._thread.join(timeout=CONNECT_TIMEOUT_S + HANDSHAKE_TIMEOUT_S)

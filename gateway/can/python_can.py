@@ -31,7 +31,6 @@ class PythonCan:
         self._bus = bus
 
     def recv(self, timeout_s: float) -> Frame | None:
-        """See ``BusDriver``. Raises BusLost."""
         try:
             message = self._bus.recv(timeout_s)
         except can.CanError as error:
@@ -51,14 +50,12 @@ class PythonCan:
                 raise BusLost(first_line(failed)) from failed
 
     def send(self, frame: Frame) -> None:
-        """See ``BusDriver``. Raises BusFull."""
         try:
             self._bus.send(to_message(frame))
         except can.CanOperationError as error:
             raise BusFull(first_line(error)) from error
 
     def shutdown(self) -> None:
-        """See ``BusDriver``."""
         self._bus.shutdown()
 
 

@@ -139,7 +139,6 @@ def frame_line(frame: Frame) -> bytes | None:
 
 
 def error_line(reason: str) -> bytes:
-    """Return the line that reports an error to the client."""
     text = re.sub(r"[<>\s]+", " ", reason)[:_MAX_ERROR_CHARACTERS].strip()
     return f"< error {text} >".encode("ascii", errors="replace")
 
@@ -204,7 +203,6 @@ class SocketcandServer:
 
     @property
     def clients(self) -> int:
-        """The number of connected clients."""
         return len(self._clients)
 
     def wait(self, timeout_s: float) -> None:
@@ -226,11 +224,9 @@ class SocketcandServer:
         return frames
 
     def send(self, frames: Iterable[Frame], now_ns: int) -> None:
-        """Put frames of the chassis on the bus."""
         self._broadcast(frames, now_ns, None)
 
     def close(self) -> None:
-        """Disconnect all clients."""
         for client in list(self._clients.values()):
             self._drop_client(client, "the server ends")
         self._selector.close()

@@ -107,7 +107,6 @@ class Diagnosis(msgspec.Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """For people."""
         return f"{'note: ' if self.is_note else ''}{self.check}: {self.text} -> {self.cure}"
 
 
@@ -126,7 +125,6 @@ def diagnose(facts: Facts) -> list[Diagnosis]:
 
 
 def summary(facts: Facts) -> str:
-    """Summarise a healthy robot in one line."""
     words = []
     if facts.state is not None and facts.state.speed_mps is not None:
         speed_mps = facts.state.speed_mps
@@ -277,7 +275,6 @@ def _queue_long(facts: Facts) -> Iterable[Detail]:
 
 
 def _bus_commanded(facts: Facts) -> bool:
-    """Report whether another computer commands the bus."""
     by_another = facts.zenoh.safety is not None and Reason.OTHER_COMMANDER in facts.zenoh.safety.blocked_by
     return by_another or (facts.bus is not None and facts.bus.is_commanded)
 

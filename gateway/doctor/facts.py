@@ -206,7 +206,6 @@ class Reach(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """For people."""
         first = f"the settings allow {self.speed_mps:.2f} m/s (all is shorter with a lower {self.speed_setting})"
         return [first, *(f"  {way}" for way in self.ways)]
 

@@ -71,7 +71,6 @@ class Guardian:
         self._was_asked_to_end = True
 
     def receive(self, frame: Frame, now_ns: int) -> None:
-        """Take a frame from the bus."""
         self.view.receive(frame, now_ns)
 
     def tick(self, beat: Beat | None, now_ns: int, *, parent_lives: bool, bus_up: bool) -> list[Frame]:
@@ -119,12 +118,10 @@ class Guardian:
         self._stopper.sent(count, now_ns)
 
     def status(self, now_ns: int, *, bus_up: bool) -> GuardStatus:
-        """Return the status for the loop."""
         is_ready = bus_up and self.view.has_feedback(now_ns)
         return GuardStatus(now_ns, is_ready, self.is_sending, self.stops, self.cause, self.outcome)
 
     def take_lines(self) -> list[str]:
-        """Return the lines for people since the last call."""
         lines, self._lines = self._lines, []
         return lines
 
@@ -147,7 +144,6 @@ class Guardian:
         )
 
     def _cause(self, beat: Beat | None, now_ns: int, *, is_fresh: bool, is_alone: bool) -> Cause | None:
-        """Return the cause for a stop now, if there is one."""
         self._late_looks = 0 if is_fresh else self._late_looks + 1
         if beat is None or not self._is_armed:
             return None

@@ -348,11 +348,9 @@ class Stopper:
         )
 
     def is_transmitting(self, now_ns: int) -> bool:
-        """Report whether the bus accepts frames."""
         return now_ns - self._went_on_ns <= GUARD_SILENT_NS
 
     def give_up(self, outcome: str) -> None:
-        """Send nothing more."""
         self.is_over = True
         self.outcome = outcome
 

@@ -62,7 +62,6 @@ class _Record(Generic[Kind]):
         self._number = 0
 
     def write(self, value: Kind) -> None:
-        """Make this the newest value."""
         self._number += 1
         content = _ENCODER.encode(value)
         content = _HEAD.pack(self._number, len(content)) + content
@@ -110,19 +109,15 @@ class Heartbeat:
         os.close(self.descriptor)
 
     def write_beat(self, beat: Beat) -> None:
-        """Write the loop's heartbeat."""
         self._beats.write(beat)
 
     def read_beat(self) -> Beat | None:
-        """The loop's newest beat; None before the first."""
         return self._beats.read()
 
     def write_status(self, status: GuardStatus) -> None:
-        """Write the guard's status."""
         self._status.write(status)
 
     def read_status(self) -> GuardStatus | None:
-        """The guard's newest status; None before the first."""
         return self._status.read()
 
 
@@ -252,7 +247,6 @@ def say(line: str) -> None:
 
 
 def main() -> None:
-    """Run the guard to its end."""
     asked = _Asked()
     memory = Heartbeat(int(sys.argv[1]))
     order = msgspec.json.decode(sys.stdin.buffer.read(), type=GuardOrder)

@@ -79,7 +79,6 @@ class GuardProcess:
 
     @property
     def pid(self) -> int:
-        """The guard's process."""
         return self._process.pid
 
     def look(self) -> GuardView:
@@ -96,7 +95,6 @@ class GuardProcess:
         )
 
     def beat(self, now_ns: int, command: CommandFlow) -> None:
-        """Write a heartbeat after the loop has sent."""
         arbiter = command.arbiter
         sequence = arbiter.output.sequence
         self._is_released = sequence is not None and sequence.phase is StopPhase.MOTOR
@@ -288,7 +286,6 @@ class FormerGuard:
             self._thread.start()
 
     def close(self) -> None:
-        """Stop reading the note."""
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join(_POLL_S * 2)

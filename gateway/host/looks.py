@@ -98,7 +98,6 @@ def _link_of(run: Runner, name: str) -> _LinkInfo:
 
 
 def can_interfaces(networks: Path = NETWORKS) -> list[str]:
-    """Return the names of the kernel's CAN interfaces."""
     try:
         return sorted(one.name for one in networks.iterdir() if _kind(one) == CAN_KIND)
     except OSError:
@@ -195,7 +194,6 @@ RECOVERED: Final = "EXT4-fs .*: recovery complete"
 
 
 def run_program(words: Sequence[str]) -> str | None:
-    """Run a system program. Returns its output; None if it is missing or failed."""
     try:
         done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
             list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
@@ -224,7 +222,6 @@ def earliest_s(settings: Settings) -> float:
 
 
 def look_at_disk(directory: Path) -> LogDisk:
-    """Inspect the file system of the logs."""
     shown = plain(str(directory))
     try:
         found = os.statvfs(directory)

@@ -95,11 +95,9 @@ class Aside(Generic[Value]):
 
     @property
     def waiting(self) -> int:
-        """Number of values that wait for the disk."""
         return self._values.qsize()
 
     def add(self, value: Value) -> None:
-        """Queue a value, without waiting."""
         self._values.put(value)
 
     def close(self) -> None:
@@ -248,7 +246,6 @@ class NoteClearer:
         self._was_latched = is_latched
 
     def close(self) -> None:
-        """Wait until the note is removed, within the time limit."""
         self._aside.close()
 
     def _clear(self, _is_reset: bool) -> None:  # noqa: FBT001 - any value
@@ -315,7 +312,6 @@ class LatchNote(StateNote):
         return "" if self._faults.empty() else self._faults.get()
 
     def close(self) -> None:
-        """Wait until all is written, within the time limit."""
         self._aside.close()
 
     def _store(self, latched: dict[str, str]) -> None:
@@ -352,7 +348,6 @@ class RunNote(StateNote):
         return is_there
 
     def end(self) -> None:
-        """Remove the file: the gateway ends in order."""
         with suppress(OSError):
             self.remove()
 

@@ -116,7 +116,6 @@ class ServiceManager:
             self._is_ready, self._status = True, status
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
     def _send(self, words: list[str]) -> bool:

@@ -124,7 +124,6 @@ class Conditions(msgspec.Struct, frozen=True):
 
     @property
     def drive_mps2(self) -> float:
-        """The acceleration by the motor's greatest force."""
         return self.motor_strength * MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + self.payload_kg)
 
 
@@ -213,7 +212,6 @@ class Motion:
         self._parking_s = 0.0
 
     def step(self, demand: Demand, dt_s: float) -> None:
-        """Advance by a short time."""
         self._park(demand, dt_s)
         self._shift(demand.gear)
         self.speed_mps = self._next_speed_mps(demand, dt_s)

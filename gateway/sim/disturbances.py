@@ -351,7 +351,6 @@ class Disturbances:
 
     @property
     def quiet(self) -> bool:
-        """No fault is in force."""
         return not self._active
 
     @property
@@ -365,7 +364,6 @@ class Disturbances:
 
     @property
     def wrong_scale(self) -> bool:
-        """Drive command and feedback have the other variant's scale."""
         return ("scale", "") in self._active
 
     @property
@@ -375,7 +373,6 @@ class Disturbances:
 
     @property
     def rebooting(self) -> bool:
-        """The control unit reboots."""
         return ("reboot", "") in self._active
 
     def conditions(self, start: Conditions) -> Conditions:
@@ -386,7 +383,6 @@ class Disturbances:
         return msgspec.structs.replace(start, **changed) if changed else start
 
     def _value(self, kind: type[_T], word: str, target: str = "") -> _T | None:
-        """Return the value of a fault in force."""
         active = self._active.get((word, target))
         return active.fault.value if active is not None and isinstance(active.fault.value, kind) else None
 
@@ -406,7 +402,6 @@ class Disturbances:
             self._active[fault.kind, target] = active
 
     def is_hit(self, side: str) -> bool:
-        """Report whether the bumper of this side is hit."""
         contact = self._value(Contact, "bumper", side)
         if contact is None:
             return False

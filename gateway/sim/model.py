@@ -55,7 +55,6 @@ class FeedbackSender:
 
     @property
     def next_ns(self) -> int:
-        """Due time of the next frame."""
         return min(row.next_ns for row in self._rows)
 
     def due(
@@ -193,7 +192,6 @@ class VirtualChassis:
         self._park_wanted = parked
 
     def inject(self, line: FaultLine, at_ns: int) -> None:
-        """Cause a fault, now or later."""
         self._disturbances.inject(line, at_ns)
 
     @property
@@ -414,7 +412,6 @@ class StandIn:
 
     @property
     def is_acting(self) -> bool:
-        """Feedback is replaced."""
         return self._chassis is not None
 
     @property
@@ -433,11 +430,9 @@ class StandIn:
             self._own.clear()
 
     def end(self) -> None:
-        """Return to the recorded feedback."""
         self._chassis = None
 
     def hear(self, frame: Frame, now_ns: int) -> None:
-        """Take a command frame of the rerun."""
         self._heard[frame.can_id] = frame
         if self._chassis is not None:
             self._chassis.receive(frame, now_ns)

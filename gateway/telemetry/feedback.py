@@ -71,7 +71,6 @@ class FeedbackStream:
         self.latest = self.data = None
 
     def tick(self, now_ns: int) -> None:
-        """Check for silence."""
         fault = self.supervisor.tick(now_ns)
         if fault is not None:
             self._faults[fault] += 1

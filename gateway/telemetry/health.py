@@ -95,7 +95,6 @@ class HealthMeter:
         self._unknown[name] += 1
 
     def tick_lateness(self, late_ns: int) -> None:
-        """Note how late a tick began."""
         self._lateness_ns.append(late_ns)
         self._worst_ns = max(self._worst_ns, late_ns)
 

@@ -147,7 +147,6 @@ def declare_events(session: zenoh.Session, key: str, waiting: int) -> Any:  # no
 
 
 def call_roll(session: zenoh.Session, key: str, timeout_s: float) -> PendingQuery:
-    """Query the liveliness tokens under a key."""
     question = PendingQuery()
     session.liveliness().get(key, question.handler, timeout=timeout_s)
     return question
@@ -196,11 +195,9 @@ class SessionOwner:
         return is_connected(self._session)
 
     def links(self) -> frozenset[str]:
-        """See ``links_of``."""
         return links_of(self._session)
 
     def close(self) -> None:
-        """Leave Zenoh."""
         close_session(self._session)
 
     def __enter__(self) -> Self:
@@ -233,11 +230,9 @@ class RobotListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, name: str = "") -> Self:
-        """Open a session by the settings, and listen."""
         return cls(join(settings.zenoh), settings.robot, name)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
-        """Query the liveliness tokens; ``drain`` yields them too."""
         return call_roll(self._session, self._roll, timeout_s)
 
     def ask_info(self, timeout_s: float) -> PendingQuery:

@@ -117,7 +117,6 @@ class CommandInbox:
 
     @property
     def node(self) -> str:
-        """The session's identifier."""
         return str(self._session.zid())
 
     def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
@@ -159,7 +158,6 @@ class CommandInbox:
         return [self._query(query) for query in self._sieve.choose(texts)]
 
     def reply(self, reply: PendingReply) -> None:
-        """Send a reply to its query."""
         query = self._queries.pop(reply.handle, None)
         if query is None:
             return
@@ -175,7 +173,6 @@ class CommandInbox:
         self._replier.send(query, key, [reply.payload], encoding, reply.attachment)
 
     def close(self) -> None:
-        """Leave Zenoh. Never raises."""
         self._queries.clear()
         self._replier.close()
         close_session(self._session)
@@ -310,24 +307,19 @@ class LateInbox:
 
     @property
     def drops(self) -> int:
-        """Requests dropped unread since the start."""
         return 0 if self.inbox is None else self.inbox.drops
 
     def drain(self, holder: str, lease: int = 0, after: int = -1) -> list[RawRequest]:
-        """See ``CommandInbox.drain``."""
         return [] if self.inbox is None else self.inbox.drain(holder, lease, after)
 
     def statements(self) -> list[RawRequest]:
-        """See ``CommandInbox.statements``."""
         return [] if self.inbox is None else self.inbox.statements()
 
     def reply(self, reply: PendingReply) -> None:
-        """See ``CommandInbox.reply``."""
         if self.inbox is not None:
             self.inbox.reply(reply)
 
     def close(self) -> None:
-        """Leave Zenoh. Never raises."""
         if self.inbox is not None:
             self.inbox.close()
 
@@ -361,7 +353,6 @@ class LateNode:
 
     @property
     def failures(self) -> int:
-        """Samples that Zenoh did not accept."""
         return 0 if self._node is None else self._node.failures
 
     def notes(self) -> tuple[str, ...]:
@@ -391,11 +382,9 @@ class LateNode:
             self._node.answer(reply)
 
     def peers(self) -> int:
-        """See ``ZenohNode.peers``."""
         return 0 if self._node is None else self._node.peers()
 
     def outside(self) -> tuple[str, ...]:
-        """See ``ZenohNode.outside``."""
         return () if self._node is None else self._node.outside()
 
     def close(self) -> None:

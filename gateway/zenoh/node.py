@@ -136,7 +136,6 @@ class Replier:
 
     @property
     def waiting(self) -> int:
-        """Number of queued replies."""
         return self._replies.qsize()
 
     def close(self) -> None:
@@ -280,7 +279,6 @@ class ZenohNode:
                 self.replier.send(query, kept.key, payloads, kept.encoding)
 
     def close(self) -> None:
-        """Leave Zenoh. Never raises."""
         self.replier.close()
         try:
             for declared in self._declared:

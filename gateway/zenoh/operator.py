@@ -75,7 +75,6 @@ class CommandPort(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str, operator: str) -> Self:
-        """Open a session by the settings."""
         return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator))
 
     def reaches(self) -> bool:
@@ -124,7 +123,6 @@ class CommandPort(SessionOwner):
         return self.begin(verb, payload, timeout_s).wait(timeout_s)
 
     def call_roll(self, timeout_s: float) -> PendingQuery:
-        """Query the liveliness tokens of the connected robots."""
         return call_roll(self._session, self._roll, timeout_s)
 
 
@@ -147,7 +145,6 @@ class SafetyListener(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str) -> Self:
-        """Open a session by the settings, and listen."""
         return _opened(settings, lambda session: cls(session, settings.robot.root, robot))
 
     def drain(self) -> Iterator[Received | Missed]:
@@ -168,17 +165,14 @@ class StatementPort(SessionOwner):
     """Sends statements to robots and receives their answers."""
 
     def __init__(self, session: zenoh.Session, root: str) -> None:
-        """Own a session."""
         super().__init__(session)
         self._root = root
 
     @classmethod
     def open(cls, settings: Settings) -> Self:
-        """Open a session by the settings."""
         return cls(join(settings.zenoh), settings.robot.root)
 
     def robots(self, timeout_s: float) -> list[str]:
-        """Return the connected robots, by their liveliness tokens."""
         replies = call_roll(self._session, keys.liveliness(self._root), timeout_s).wait(timeout_s, timeout_s)
         found = {keys.robot_of_liveliness(self._root, reply.key) for reply in replies}
         return sorted(robot for robot in found if robot is not None)

@@ -108,7 +108,7 @@ def test_a_port_that_something_else_holds_is_told(default_endpoint: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("listen", "fault"), [("garbage", "garbage is not an endpoint"), ("unixsock-stream//run/r.sock", "has no port")]
+    ("listen", "fault"), [("garbage", "is not an endpoint"), ("unixsock-stream//run/r.sock", "has no port")]
 )
 def test_what_is_no_place_for_two_sessions_is_told(listen: str, fault: str) -> None:
     with pytest.raises(CommandError, match=rf"to listen on: .*{fault}.*zenoh\.command_listen names") as error:
