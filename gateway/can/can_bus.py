@@ -35,11 +35,8 @@ from gateway.chassis.frame import (
 )
 
 CONNECT_TIMEOUT_S: Final = 1.0
-HANDSHAKE_TIMEOUT_S: Final = 5.0
-"""For each answer."""
-
-MESSAGE_MAX_BYTES: Final = 512
-"""A message without its end after this many bytes is dropped."""
+HANDSHAKE_TIMEOUT_S: Final = 5.0  # for each answer
+MESSAGE_MAX_BYTES: Final = 512  # a message without its end after this many bytes is dropped
 
 _GREETING: Final = b"< hi >"
 _READ_BYTES: Final = 4096
@@ -140,8 +137,7 @@ A healthy receiver may leave 40 ms unacknowledged.
 SEND_STALL_S: Final = 0.2
 """A TCP socket that stays above that limit for this long counts as lost, with its unsent data."""
 
-SEND_TIMEOUT_US: Final = 2_000
-"""Longest time that the kernel blocks a send, rounded up to its ticks."""
+SEND_TIMEOUT_US: Final = 2_000  # longest time that the kernel blocks a send, rounded up to its ticks
 
 GARBLED_MAX: Final = 20
 """Unreadable lines in a row that count as a lost bus; a single one is noise on an adapter's line."""

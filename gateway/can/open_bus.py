@@ -31,8 +31,7 @@ from schemas.settings import RECONNECT_MAX_S, RECONNECT_MIN_S, CanSettings
 
 SOCKETCAN: Final = "socketcan"
 SOCKETCAND: Final = "socketcand"
-FD: Final = "fd"
-"""The option of SocketCAN for CAN FD frames."""
+FD: Final = "fd"  # the option of SocketCAN for CAN FD frames
 
 
 def open_bus(settings: CanSettings, identifiers: Collection[int] = ()) -> Bus:
@@ -71,11 +70,8 @@ _PREFIX: Final = "\0cruiser-gateway/"
 """Prefix of abstract socket names. They belong to a network namespace, as CAN interfaces do, and are free again as
 soon as their process has ended."""
 
-SOCKETS: Final = Path("/proc/net/unix")
-"""The kernel's list of socket names in this network namespace."""
-
-CLAIMS_MAX: Final = 8
-"""Most gateways on one bus that are counted."""
+SOCKETS: Final = Path("/proc/net/unix")  # the kernel's list of socket names in this network namespace
+CLAIMS_MAX: Final = 8  # most gateways on one bus that are counted
 
 
 class BusClaim:

@@ -31,12 +31,10 @@ HI: Final = b"< hi >"
 OK: Final = b"< ok >"
 ECHO: Final = b"< echo >"
 
-MAX_MESSAGE_BYTES: Final = 512
-"""A message without its end after this many bytes is dropped."""
+MAX_MESSAGE_BYTES: Final = 512  # a message without its end after this many bytes is dropped
 
 _MAX_ERROR_CHARACTERS: Final = 300
-_MAX_SHOWN_BYTES: Final = 60
-"""The part of a wrong message that an error repeats."""
+_MAX_SHOWN_BYTES: Final = 60  # the part of a wrong message that an error repeats
 
 
 class FaultAsked(NamedTuple):
@@ -149,8 +147,7 @@ def _shown(data: bytes) -> str:
 
 _logger = logging.getLogger(__name__)
 
-MAX_CLIENTS: Final = 64
-"""Well below the 1024 descriptors that select() can watch."""
+MAX_CLIENTS: Final = 64  # well below the 1024 descriptors that select() can watch
 
 MAX_QUEUED_BYTES: Final = 1 << 20
 """Unread data above which a client is disconnected: about 25 s of nominal feedback."""

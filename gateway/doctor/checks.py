@@ -15,17 +15,13 @@ from schemas.reasons import TEXTS, Reason, cure_of, of_a_robot
 from schemas.recording import RecorderState
 from schemas.settings import STANDSTILL_MPS
 
-QUEUE_MAX_FRAMES: Final = 10
-"""A longer transmit queue would deliver stale commands."""
-
-USUAL_BITRATE: Final = 500_000
-"""The manual gives none; this is common for the family."""
+QUEUE_MAX_FRAMES: Final = 10  # a longer transmit queue would deliver stale commands
+USUAL_BITRATE: Final = 500_000  # the manual gives none; this is common for the family
 
 CLOCK_MAX_S: Final = 1.0
 """Tolerance between the robot's clock and this one: its health is up to this old when it is read."""
 
-LOST_MAX_SHARE: Final = 0.001
-"""Share of samples that a recorder may miss without a finding."""
+LOST_MAX_SHARE: Final = 0.001  # share of samples that a recorder may miss without a finding
 
 ERROR_FRAME: Final = "error_frame"
 

@@ -44,8 +44,7 @@ SIZE_BYTES: Final = 4096
 _BEATS_AT: Final = 0
 _STATUS_AT: Final = 2048
 
-_HEAD: Final = struct.Struct("<QH")
-"""The number of the write, and the length of its content."""
+_HEAD: Final = struct.Struct("<QH")  # the number of the write, and the length of its content
 
 _CHECKSUM: Final = struct.Struct("<I")
 

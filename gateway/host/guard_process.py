@@ -31,8 +31,7 @@ log = logging.getLogger(__name__)
 SHARED_INTERFACES: Final = frozenset({"socketcan", "socketcand"})
 """Interfaces whose bus several processes can open at once. On any other there is no guard."""
 
-END_TIMEOUT_S: Final = 1.0
-"""Wait for an idle guard to exit."""
+END_TIMEOUT_S: Final = 1.0  # wait for an idle guard to exit
 
 
 class NoGuard:

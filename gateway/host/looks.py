@@ -39,13 +39,11 @@ Runner = Callable[[Sequence[str]], str | None]
 
 IFF_UP: Final = 1
 
-LOOKS_MAX: Final = 3
-"""At one a second."""
+LOOKS_MAX: Final = 3  # at one a second
 
 NETWORKS: Final = Path("/sys/class/net")
 
-CAN_KIND: Final = "280"
-"""ARPHRD_CAN, as the kernel's if_arp.h has it."""
+CAN_KIND: Final = "280"  # ARPHRD_CAN, as the kernel's if_arp.h has it
 
 
 def look_at_interface(settings: Settings, run: Runner, networks: Path = NETWORKS) -> CanInterface | None:

@@ -26,8 +26,7 @@ from schemas.command_line import plain
 from schemas.reasons import Reason
 from schemas.settings import MILEAGE_DIFFERS_KM, Settings
 
-WRITE_TIMEOUT_S: Final = 2.0
-"""Longest wait for a stalled disk when the gateway ends."""
+WRITE_TIMEOUT_S: Final = 2.0  # longest wait for a stalled disk when the gateway ends
 
 
 def state_directory(setting: str, environment: Mapping[str, str]) -> Path | None:
@@ -141,8 +140,7 @@ class StateNote:
 STOP_NOTE_MAX_BYTES: Final = 2048
 """A longer note is neither extended nor read further: its first lines say what happened."""
 
-STOP_WRITE_TIMEOUT_S: Final = 10.0
-"""Longest wait for a stalled disk when a guard, or a halt, ends."""
+STOP_WRITE_TIMEOUT_S: Final = 10.0  # longest wait for a stalled disk when a guard, or a halt, ends
 
 CLEAR_TIMEOUT_S: Final = 1.0
 """Longest wait for a stalled disk when the gateway ends; a note that remains latches again."""
@@ -272,8 +270,7 @@ def _write_all(descriptor: int, content: bytes) -> None:
         os.close(descriptor)
 
 
-LATCH_NOTE_MAX_BYTES: Final = 65_536
-"""A longer file is no note of ours."""
+LATCH_NOTE_MAX_BYTES: Final = 65_536  # a longer file is no note of ours
 
 
 class LatchNote(StateNote):
@@ -352,8 +349,7 @@ class RunNote(StateNote):
             self.remove()
 
 
-STEP_KM: Final = 0.1
-"""Distance after which the note is updated, and so the error that a power cut leaves."""
+STEP_KM: Final = 0.1  # distance after which the note is updated, and so the error that a power cut leaves
 
 MILEAGE_NOTE_MAX_BYTES: Final = 256
 

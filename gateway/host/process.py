@@ -48,8 +48,7 @@ def has_realtime() -> bool:
 LINES_WAITING: Final = 1000
 """Queued log lines; further ones are dropped, so that a full stderr pipe never blocks the loop."""
 
-END_TIMEOUT_S: Final = 1.0
-"""Longest wait at the end for a pipe that stays full."""
+END_TIMEOUT_S: Final = 1.0  # longest wait at the end for a pipe that stays full
 
 
 class _Aside(QueueHandler):

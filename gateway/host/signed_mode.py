@@ -164,8 +164,7 @@ def _own(provisioned: list[Signed], kept: Kept, trust: Trust, settings: Settings
     return chain
 
 
-LOOK_NS: Final = 1_000_000_000
-"""Period at which the files are checked while the gateway is not needed."""
+LOOK_NS: Final = 1_000_000_000  # period at which the files are checked while the gateway is not needed
 
 ENDS: Final = "new keys or certificates were installed: the gateway restarts to load them"
 WAITS: Final = "new keys or certificates were installed: restart the gateway to load them"

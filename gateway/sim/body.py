@@ -17,20 +17,14 @@ from schemas.messages import GearPosition
 
 GRAVITY_MPS2: Final = 9.81
 
-EMPTY_MASS_KG: Final = 116.0
-"""Manual V2.0, 2.2."""
+EMPTY_MASS_KG: Final = 116.0  # manual V2.0, 2.2
 
 TOP_SPEED_MPS: Final = 8 / 3.6
 """8 km/h (manual V2.0, 2.2): the fastest drive speed; downhill it may roll faster."""
 
-STEERING_LIMIT_DEG: Final = 24.0
-"""The soft limit inside the chassis (manual V2.0, 5 (2))."""
-
-TRACK_M: Final = 0.606
-"""Distance between the rear wheels (manual V2.0, 2.2)."""
-
-TYRE_DIAMETER_M: Final = 0.420
-"""Manual V2.0, 2.2."""
+STEERING_LIMIT_DEG: Final = 24.0  # the soft limit inside the chassis (manual V2.0, 5 (2))
+TRACK_M: Final = 0.606  # distance between the rear wheels (manual V2.0, 2.2)
+TYRE_DIAMETER_M: Final = 0.420  # manual V2.0, 2.2
 
 PULSES_PER_TURN: Final = 1024
 """Encoder counts for one turn of a wheel. Chosen: the manual gives none."""
@@ -63,8 +57,7 @@ PARKING_DECELERATION_MPS2: Final = 7.0
 FULL_PEDAL_PERCENT: Final = 99.0
 """The brake reads fully braked from here on; eight bits of 0.390625 % end at 99.6 %."""
 
-STEERING_RATE_DEGPS: Final = 60.0
-"""Chosen."""
+STEERING_RATE_DEGPS: Final = 60.0  # chosen
 
 SHIFT_SPEED_MPS: Final = 0.01
 """The gear of the other direction engages only below this speed. Chosen; the manual asks for zero."""
@@ -81,8 +74,7 @@ BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 4
 START_MILEAGE_M: Final = 12_345.0
 """Mileage at power-up, not zero, so that clearing it is visible. Chosen."""
 
-FOREIGN_PERIOD_NS: Final = 100_000_000
-"""The default period of a foreign frame."""
+FOREIGN_PERIOD_NS: Final = 100_000_000  # the default period of a foreign frame
 
 MAX_RATE_MULTIPLIER: Final = 100.0
 """Greatest multiple of the feedback rate; 11.9 saturates a 1 Mbit/s bus (7,500 frames/s)."""
@@ -127,8 +119,7 @@ class Conditions(msgspec.Struct, frozen=True):
         return self.motor_strength * MAX_DRIVE_FORCE_N / (EMPTY_MASS_KG + self.payload_kg)
 
 
-NOMINAL: Final = Conditions()
-"""Level ground, no payload."""
+NOMINAL: Final = Conditions()  # level ground, no payload
 
 CONDITION_BOUNDS: Final = {
     "slope_deg": (-30.0, 30.0),

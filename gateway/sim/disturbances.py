@@ -66,8 +66,7 @@ after 'for 3 frames'; every fault but 'clear' can end after 'for 2s'. Durations:
 
 ALL_MESSAGES: Final = "all"
 
-_WORD_MAX: Final = 40
-"""Characters of a wrong text that an error repeats."""
+_WORD_MAX: Final = 40  # characters of a wrong text that an error repeats
 
 
 class Disturbance(Enum):
@@ -291,8 +290,7 @@ class _Active(msgspec.Struct):
     next_ns: int = _NEVER_NS
 
 
-_Slot = tuple[str, str | int]
-"""Kind and target of a fault; a later fault in the same slot replaces the earlier."""
+_Slot = tuple[str, str | int]  # kind and target of a fault; a later fault in the same slot replaces the earlier
 
 
 class Disturbances:

@@ -27,8 +27,7 @@ from schemas.messages import BrakingStatus, Drive, Gear, GearPosition, Mode, Par
 Values = Mapping[str, Value]
 
 _CHECKSUM_BYTE: Final = 7
-_CHECKSUM_ERROR: Final = 0xA5
-"""Flips bits of a bad checksum."""
+_CHECKSUM_ERROR: Final = 0xA5  # flips bits of a bad checksum
 
 
 class _Row(msgspec.Struct):

@@ -34,8 +34,7 @@ from schemas.messages import (
     WheelSpeed,
 )
 
-UNKNOWN_IDENTIFIERS_MAX: Final = 64
-"""Unknown identifiers that are counted one by one, to bound the memory."""
+UNKNOWN_IDENTIFIERS_MAX: Final = 64  # unknown identifiers that are counted one by one, to bound the memory
 
 OTHER_IDENTIFIERS: Final = "other"
 
@@ -160,8 +159,7 @@ def _ns(time_s: int | None) -> int | None:
 
 FeedbackType = TypeVar("FeedbackType", bound=Feedback)
 
-DECIMALS: Final = 4
-"""Of derived values: 0.1 mm/s, well below the chassis's resolution."""
+DECIMALS: Final = 4  # of derived values: 0.1 mm/s, well below the chassis's resolution
 
 
 class LatestMessages:

@@ -41,8 +41,7 @@ from schemas.zenoh_session import (
 FURTHER_S: Final = 0.2
 """Time to wait for further replies after the first. A query to a single robot ends with its reply."""
 
-POLL_S: Final = 0.002
-"""Period at which replies are polled."""
+POLL_S: Final = 0.002  # period at which replies are polled
 
 SAMPLES_WAITING: Final = 16_384
 """Queued samples of one subscription; beyond it the oldest are dropped.
@@ -50,8 +49,7 @@ SAMPLES_WAITING: Final = 16_384
 Enough for 400 robots during two seconds in which a busy computer holds up this process.
 """
 
-EVENTS_OF_BEFORE: Final = 50
-"""Earlier events of a robot that a new listener receives."""
+EVENTS_OF_BEFORE: Final = 50  # earlier events of a robot that a new listener receives
 
 EVENTS_PER_LOOK: Final = 256
 """Events of all robots that are taken at a time, some milliseconds of work; the others wait."""
@@ -59,8 +57,7 @@ EVENTS_PER_LOOK: Final = 256
 REPLIES_WAITING: Final = 16_384
 """Queued replies to one query; beyond it the oldest are dropped. A fleet's stop has one per robot."""
 
-_TIMEOUT: Final = b"Timeout"
-"""Zenoh's reply to a query that timed out."""
+_TIMEOUT: Final = b"Timeout"  # Zenoh's reply to a query that timed out
 
 
 class PendingQuery:

@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+# Queued requests between two ticks; beyond it the oldest are dropped, uncounted.
 STOPS_WAITING: Final = 64
 VERBS_WAITING: Final = 256
 DRIVES_WAITING: Final = 1024
-"""Queued requests between two ticks; beyond it the oldest are dropped, uncounted."""
 
 STATEMENTS_WAITING: Final = 128
 """Queued statements of an authority between two ticks, 1 ms of work; beyond it the oldest are dropped."""
@@ -59,8 +59,7 @@ ATTACHMENT_MAX_BYTES: Final = 128  # no proof is longer
 
 Proof = Callable[[str, bytes, bytes], bool]
 
-OWN_LINK_TIMEOUT_S: Final = 3.0
-"""Time in which the gateway's own two sessions must be connected."""
+OWN_LINK_TIMEOUT_S: Final = 3.0  # time in which the gateway's own two sessions must be connected
 
 PLAIN_REPLY: Final = BY_VERB[STOP_VERB].reply_encoding
 
@@ -292,9 +291,7 @@ def open_inbox(
 
 
 AGAIN_S: Final = 1.0  # pause between two attempts
-
-CLOSE_TIMEOUT_S: Final = 3.0
-"""Longest wait, when the gateway ends, for an attempt under way."""
+CLOSE_TIMEOUT_S: Final = 3.0  # longest wait, when the gateway ends, for an attempt under way
 
 Joined = tuple[ZenohNode, CommandInbox | None]
 

@@ -48,8 +48,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-QUERIES_WAITING: Final = 16
-"""Queued queries on gateway/info; beyond it the oldest are dropped."""
+QUERIES_WAITING: Final = 16  # queued queries on gateway/info; beyond it the oldest are dropped
 
 QUERIES_PER_TICK: Final = 2
 
@@ -58,8 +57,7 @@ SEQUENCE_MAX_DIGITS: Final = 10
 MISS_HEARTBEAT_S: Final = 1.0
 """Period at which a subject with a history publishes its last sequence, so that readers notice a loss."""
 
-REPLIES_WAITING: Final = 256
-"""Queued replies; beyond it the newest are dropped and counted."""
+REPLIES_WAITING: Final = 256  # queued replies; beyond it the newest are dropped and counted
 
 BLOCK_MAX_US: Final = 20_000
 """A link that accepts nothing is closed after this time.
@@ -85,29 +83,17 @@ ROBOT_RULES: Final[dict[str, Json]] = {
     "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_MAX_US
 }
 
-LOOK_S: Final = 0.05
-"""Period at which the thread checks for the shutdown while no reply waits."""
-
-REPLY_TIMEOUT_S: Final = 1.0
-"""Wait at shutdown for replies under way."""
-
-TOKEN_TIMEOUT_S: Final = 1.0
-"""Time limit of the query for another gateway of our name."""
-
-INFO_TIMEOUT_S: Final = 1.0
-"""A healthy gateway answers within a few ticks of 10 ms."""
-
-INFO_QUESTIONS: Final = 3
-"""Tries before a namesake counts as absent: among many queries one may be dropped."""
-
-ANSWERS_MAX: Final = 64
-"""Answers that are read to one query."""
+LOOK_S: Final = 0.05  # period at which the thread checks for the shutdown while no reply waits
+REPLY_TIMEOUT_S: Final = 1.0  # wait at shutdown for replies under way
+TOKEN_TIMEOUT_S: Final = 1.0  # time limit of the query for another gateway of our name
+INFO_TIMEOUT_S: Final = 1.0  # a healthy gateway answers within a few ticks of 10 ms
+INFO_QUESTIONS: Final = 3  # tries before a namesake counts as absent: among many queries one may be dropped
+ANSWERS_MAX: Final = 64  # answers that are read to one query
 
 QUESTION_BYTES: Final = 16
 """Random bytes attached to each query for a namesake: a gateway in signed mode signs its answer over them."""
 
-NEIGHBOUR_TIMEOUT_S: Final = 3.0
-"""Time in which a Zenoh node that holds our port must be connected."""
+NEIGHBOUR_TIMEOUT_S: Final = 3.0  # time in which a Zenoh node that holds our port must be connected
 
 
 class Replier:

@@ -23,8 +23,7 @@ from schemas.zenoh_session import close_session, join
 
 log = logging.getLogger(__name__)
 
-STATES_WAITING: Final = 64
-"""Queued safety states, 20 Hz and on change; beyond it the oldest are dropped."""
+STATES_WAITING: Final = 64  # queued safety states, 20 Hz and on change; beyond it the oldest are dropped
 
 EVENTS_WAITING: Final = 4096
 

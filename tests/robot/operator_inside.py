@@ -20,8 +20,7 @@ SPEED_MPS: Final = 0.5
 READY_S: Final = 60.0
 DRIVE_S: Final = 300.0
 OVERCOME: Final = frozenset({Reason.NO_LEASE, Reason.NOT_ENGAGED})
-SEEN: Final = Path("/run/box/steady")
-"""There once the test has seen a steady drive."""
+SEEN: Final = Path("/run/box/steady")  # there once the test has seen a steady drive
 
 
 def drive(robot: Robot, lease: Lease) -> None:

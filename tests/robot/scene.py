@@ -13,8 +13,7 @@ from tests.robot.box import Box
 from tests.robot.outside import Life, Outside
 from tests.support.reading import Read
 
-STEADY_MPS: Final = 0.4
-"""What the operator asks for is 0.5 m/s."""
+STEADY_MPS: Final = 0.4  # what the operator asks for is 0.5 m/s
 
 STEADY_S: Final = 4.0
 DRIVES_S: Final = 150.0

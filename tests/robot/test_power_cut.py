@@ -6,8 +6,7 @@ from tests.robot import scene
 from tests.robot.box import Box
 from tests.robot.outside import Outside
 
-DARK_S = 3.0
-"""The power stays off."""
+DARK_S = 3.0  # the power stays off
 
 
 def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:

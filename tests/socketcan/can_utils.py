@@ -9,8 +9,7 @@ from tests.socketcan.turns import PEER, come_first
 from tests.support.waiting import wait_until
 
 _LINE: Final = re.compile(r"\((\d+)\.(\d{6})\) (\S+) ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)")
-_MARK: Final = 0x7FF
-"""An identifier that nobody uses: candump listens once it has written it."""
+_MARK: Final = 0x7FF  # an unused identifier: candump listens once it has written it
 
 
 class Dumped(NamedTuple):

@@ -18,16 +18,12 @@ ODOMETER: Final = 0x18C4D6D0
 LIGHT: Final = 0x18C4D7D0
 SPEAKER: Final = 0x18C4D8D0
 
-BURST: Final = (DRIVE, GEAR, STEERING, BRAKING, PARKING)
-"""Of every tick, in this order: the speed first."""
+BURST: Final = (DRIVE, GEAR, STEERING, BRAKING, PARKING)  # of every tick, in this order: the speed first
 
 ALL: Final = frozenset((*BURST, ODOMETER, LIGHT, SPEAKER))
 
-FILTER: Final = "18C4D0D0:1FFFF0FF"
-"""They all, for candump."""
-
-LAMP_FEEDBACK: Final = "18C4DAEF:1FFFFFFF"
-"""A frame every 50 ms, for candump."""
+FILTER: Final = "18C4D0D0:1FFFF0FF"  # all of them, for candump
+LAMP_FEEDBACK: Final = "18C4DAEF:1FFFFFFF"  # a frame every 50 ms, for candump
 
 WHEEL_SPEEDS: Final = 0x18C4D7EF
 """The feedback by which time is seen to pass, every 50 ms, and the robot to move."""

@@ -14,8 +14,7 @@ from typing import Final
 
 TRIES: Final = 1000
 MEASURED_S: Final = 1.0
-IDLE_COLUMN: Final = 4
-"""Of a processor's line in /proc/stat."""
+IDLE_COLUMN: Final = 4  # of a processor's line in /proc/stat
 
 
 def both(ticks: Callable[[], int]) -> tuple[float, int]:

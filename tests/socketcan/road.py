@@ -16,8 +16,7 @@ from tests.socketcan.turns import CHASSIS, PEER, come_as_usual, come_first
 from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
-CONNECT_S: Final = 30.0
-"""Processes start slowly in user-mode Linux."""
+CONNECT_S: Final = 30.0  # processes start slowly in user-mode Linux
 
 STEADY_S: Final = 30.0
 

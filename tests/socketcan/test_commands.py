@@ -81,10 +81,10 @@ SPEED_RAW: Final = 500
 PEDAL: Final = commands.BRAKING, bytes.fromhex("0101000000000000")
 """Enabled, the pedal at a bit, with a right checksum: it changes nothing but who commands."""
 
+# As in linux/can/error.h.
 BUS_OFF: Final = ERROR | 0x40, bytes(8)
 RESTARTED: Final = ERROR | 0x100, bytes(8)
 RECEIVE_PASSIVE: Final = ERROR | 0x4, bytes.fromhex("0010000000000080")
-"""As linux/can/error.h has them."""
 
 
 def of_controller(events: list[SafetyEvent]) -> list[tuple[Severity, Reason, str]]:

@@ -16,8 +16,7 @@ from tests.support.waiting import wait_until
 
 CAN_ID: Final = EXTENDED | BURST[0]
 
-TICK_FRAMES: Final = 8
-"""Commands of a tick: the five that move it, odometer, light and horn."""
+TICK_FRAMES: Final = 8  # commands of a tick: the five that move it, odometer, light and horn
 
 IN_THE_ADAPTER: Final = 1
 TRIES: Final = 100

@@ -25,8 +25,7 @@ from tests.support.waiting import wait_until
 SPEED_MPS: Final = 0.5
 SPEED_RAW: Final = 500
 SILENT_US: Final = 500_000
-LONG_STATES: Final = 80
-"""At 20 Hz: longer than the longest pause before the bus is tried again."""
+LONG_STATES: Final = 80  # at 20 Hz: longer than the longest pause before the bus is tried again
 
 
 def changes(values: list[bool]) -> list[bool]:

@@ -20,8 +20,7 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import Running
 from tests.support.waiting import wait_until
 
-HEARD: Final = 500
-"""Frames of the chassis, in a second."""
+HEARD: Final = 500  # frames of the chassis, in a second
 
 ALL: Final = Path("/proc/net/can/rcvlist_all")
 EXACT: Final = Path("/proc/net/can/rcvlist_eff")
@@ -74,8 +73,7 @@ def wait_asked(vcan: Vcan, everything: list[int], identifiers: list[int]) -> Non
     wait_until(lambda: (asking(ALL, vcan.name), asking(EXACT, vcan.name)) == (everything, identifiers))
 
 
-FLOOD: Final = 20_000
-"""More than its buffer holds."""
+FLOOD: Final = 20_000  # more than its buffer holds
 
 GROWTH_KB: Final = 4_096
 """Of memory, from one flood to the next but for one: less than the frames of one would take."""

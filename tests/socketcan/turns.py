@@ -10,8 +10,7 @@ CHASSIS: Final = 50
 PEER: Final = 40
 """Both are above the gateway's loop and the guard: what these do must not hold up a computer of its own."""
 
-LAST: Final = 10
-"""Nice: a tenth of what another has."""
+LAST: Final = 10  # nice: a tenth of what another has
 
 
 def come_first(pid: int, priority: int) -> None:

@@ -72,8 +72,7 @@ def test_a_health_of_before_is_not_heard() -> None:
             assert HEALTH_SAMPLE not in heard
 
 
-ROOM = 1000
-"""More than the 256 replies of a channel of Zenoh's."""
+ROOM = 1000  # more than the 256 replies of a channel of Zenoh's
 
 
 class Pair(NamedTuple):

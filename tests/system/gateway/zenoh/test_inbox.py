@@ -39,8 +39,7 @@ from tests.support.requests import REQUESTS
 from tests.support.waiting import wait_until
 
 ROBOT = "fleet/cruiser-1/@cmd/"
-ENOUGH = 10_000_000
-"""A payload of this many bytes would show in the memory."""
+ENOUGH = 10_000_000  # a payload of this many bytes would show in the memory
 
 
 class Bench:

@@ -20,8 +20,7 @@ from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 BIG_REPLIES: Final = 16
-BIG_REPLY: Final = bytes(8_000_000)
-"""Far more than sockets hold."""
+BIG_REPLY: Final = bytes(8_000_000)  # far more than sockets hold
 
 
 @pytest.fixture

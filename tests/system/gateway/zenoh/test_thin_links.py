@@ -27,16 +27,14 @@ from tests.support.processes.tcp_link import TcpLink
 from tests.support.waiting import wait_until
 
 LTE: Final = next(link for link in LINKS if link.name == "LTE bad")
-BYTES_PER_S: Final = 62_500
-"""An uplink of 0.5 Mbit/s."""
+BYTES_PER_S: Final = 62_500  # an uplink of 0.5 Mbit/s
 
 STATE, DECISION = "safety/state", "safety/decision"
 REPLIES: Final = "replies of the journal"
 STATE_BYTES: Final = 780
 FLOOD_BYTES: Final = 1500
 INFO_BYTES: Final = 120_000
-FLOOD: Final = 20
-"""Samples beside each state: some thirty times what the link takes at 50 ms."""
+FLOOD: Final = 20  # samples beside each state: some thirty times what the link takes at 50 ms
 
 
 class Thin(NamedTuple):

@@ -332,8 +332,7 @@ def test_a_reboot_forgets_everything() -> None:
     assert rig.seen["Auto_SpeakerFeedback"]["Horn"] is False
 
 
-L_M = CHASSIS.wheelbase_m
-"""The wheelbase."""
+L_M = CHASSIS.wheelbase_m  # the wheelbase
 
 
 DT_S = 0.01
