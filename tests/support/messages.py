@@ -3,9 +3,11 @@
 The constants are whole messages, to be changed by ``msgspec.structs.replace``; the functions make one of a series.
 """
 
+from enum import Enum
 from functools import lru_cache
 from hashlib import sha256
-from typing import Any, Final
+from types import NoneType
+from typing import Annotated, Any, Final, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -19,7 +21,6 @@ from schemas.decisions import (
     SafetyEvent,
     SafetyState,
     Severity,
-    StopPhase,
     Verdict,
 )
 from schemas.messages import (
@@ -51,6 +52,22 @@ MS: Final = 1_000_000
 PERIOD_NS: Final = 50 * MS  # between the messages of a numbered series
 GEAR_FEEDBACK: Final = 0x18C4D1EF
 
+Struct = TypeVar("Struct", bound=msgspec.Struct)
+
+
+def plain(kind: type[Struct], **fields: Any) -> Struct:  # noqa: ANN401 - any field of the message
+    """A message whose other required fields are zero, empty, none or the first of their enumeration."""
+    required = {one.name: _empty(one.type) for one in msgspec.structs.fields(kind) if one.required}
+    return kind(**required | fields)
+
+
+def _empty(kind: Any) -> object:  # noqa: ANN401 - any annotation
+    if NoneType in get_args(kind):
+        return None
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else get_origin(kind) or kind
+    return next(iter(kind)) if issubclass(kind, Enum) else kind()
+
+
 # A robot that drives.
 STATE: Final = RobotState(
     time_ns=1,
@@ -78,29 +95,16 @@ STATE: Final = RobotState(
     horn=False,
 )
 # An arbiter in standby, with a lease.
-STANDBY: Final = SafetyState(
+STANDBY: Final = plain(
+    SafetyState,
     time_ns=1,
-    sequence=0,
     tick=100,
     challenge=bytes(8),
-    link_age_s=None,
-    link_age_last_s=None,
-    link_age_p50_s=None,
-    link_age_p99_s=None,
-    travel_delay_m=0.0,
-    travel_speed_limit_mps=None,
     deadman_s=0.3,
-    accepted_seq=None,
-    stop_detail="",
     state=ArbiterState.STANDBY,
-    engaged=False,
-    stop_reason=Reason.NONE,
-    stop_phase=StopPhase.IDLE,
     lease_holder="first",
     lease_role=Role.OPERATOR,
     lease_expires_s=2.0,
-    latched=[],
-    blocked_by=[],
     guarded=True,
     speed_limit_mps=2.0,
     acceleration_limit_mps2=0.8,
@@ -109,48 +113,24 @@ STANDBY: Final = SafetyState(
     steering_limit_deg=24.0,
     steering_rate_limit_degps=60.0,
     lateral_acceleration_limit_mps2=1.5,
-    target_speed_mps=0.0,
-    target_angle_deg=0.0,
-    output_speed_mps=0.0,
     output_angle_deg=7.0,
     output_gear=GearPosition.NEUTRAL,
-    brake_pedal_percent=0.0,
-    parking=False,
 )
 # A gateway that is well.
-HEALTH: Final = GatewayHealth(
+HEALTH: Final = plain(
+    GatewayHealth,
     time_ns=1,
-    sequence=0,
     gateway_version="0.1.0",
     uptime_s=12.0,
     bus="can0",
     bus_up=True,
-    bus_detail="",
-    bus_losses=0,
-    bus_drops=0,
     controller=ControllerState.UNKNOWN,
     zenoh_peers=1,
-    publish_failures=0,
-    inbox_drops=0,
     variant=Variant.COARSE,
     frames=630,
     frames_per_s=630.0,
     faults={"checksum": 0},
-    unknown_identifiers={},
-    feedback=[
-        FrameHealth(
-            name="Auto_GearFeedBack",
-            rate_hz=100,
-            valid=99,
-            lost=0,
-            withheld=0,
-            checksum_faults=0,
-            implausible=0,
-            silent=False,
-            alive_faults=0,
-            failures=[],
-        )
-    ],
+    feedback=[plain(FrameHealth, name="Auto_GearFeedBack", rate_hz=100, valid=99)],
     tick_lateness_p50_ms=0.1,
     tick_lateness_p99_ms=0.2,
     tick_lateness_max_ms=0.3,
@@ -259,21 +239,20 @@ def gateway_info(number: int, configuration: str = "[can]\n", **fields: Any) -> 
 
 def state(number: int, **fields: Any) -> RobotState:  # noqa: ANN401 - any field of the message
     """The robot's state so many periods after the beginning: ahead at 1 m/s, all else unknown."""
-    known = {
-        "time_ns",
-        "sequence",
-        "bus_up",
-        "variant",
-        "silent",
-        "mode",
-        "gear_position",
-        "speed_mps",
-        "angle_deg",
-    }
-    known |= {"braking_status", "parking_status"}
-    unknown = dict.fromkeys(set(RobotState.__struct_fields__) - known)
-    made = {"time_ns": WALL_NS + number * PERIOD_NS, "sequence": number, "speed_mps": 1.0, "angle_deg": 0.0}
-    return msgspec.structs.replace(STATE, **{**unknown, **made, **fields})
+    made = plain(
+        RobotState,
+        time_ns=WALL_NS + number * PERIOD_NS,
+        sequence=number,
+        bus_up=True,
+        variant=Variant.COARSE,
+        mode=Mode.AUTO,
+        gear_position=GearPosition.DRIVE,
+        speed_mps=1.0,
+        angle_deg=0.0,
+        braking_status=BrakingStatus.RELEASED,
+        parking_status=ParkingStatus.RELEASED,
+    )
+    return msgspec.structs.replace(made, **fields)
 
 
 def arbiter(number: int, **fields: Any) -> SafetyState:  # noqa: ANN401 - any field of the message
@@ -311,7 +290,8 @@ def event(number: int, kind: EventKind = EventKind.STOP, **fields: Any) -> Safet
 
 def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field of the message
     """A refused drive command at that time: operator-2 holds no lease."""
-    known = Decision(
+    known = plain(
+        Decision,
         time_ns=WALL_NS + number * PERIOD_NS,
         sequence=number,
         tick=10_000 + 5 * number,
@@ -319,16 +299,12 @@ def refusal(number: int, **fields: Any) -> Decision:  # noqa: ANN401 - any field
         operator="operator-2",
         lease=1,
         request_sequence=number,
-        age_ms=None,
         verdict=Verdict.REFUSED,
         reason=Reason.NO_LEASE,
-        detail="",
-        bound_by=[],
         requested_speed_mps=1.0,
         requested_angle_deg=0.0,
         output_speed_mps=0.0,
         output_angle_deg=0.0,
-        frames_sent=0,
     )
     return msgspec.structs.replace(known, **fields)
 
@@ -374,30 +350,12 @@ def can_frame(
 
 def recorder_health(state: RecorderState = RecorderState.RECORDING) -> RecorderHealth:
     """The health of a recorder that has received nothing."""
-    return RecorderHealth(
+    return plain(
+        RecorderHealth,
         time_ns=WALL_NS,
-        sequence=0,
         recorder="bench",
         recorder_version="1",
         uptime_s=2.0,
         state=state,
         state_since_s=1.0,
-        files=0,
-        files_ended=0,
-        ended_bytes=0,
-        robots=0,
-        keys=0,
-        received=0,
-        received_per_s=0.0,
-        written=0,
-        missed=0,
-        dropped={},
-        queue_bytes=0,
-        disk_queue_bytes=0,
-        ring_bytes=0,
-        incidents=0,
-        disk_free_bytes=0,
-        disk_used_bytes=0,
-        incident_bytes=0,
-        cpu_percent=0.0,
     )

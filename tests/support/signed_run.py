@@ -31,7 +31,7 @@ from schemas.requests import Role
 from schemas.subjects import BY_VERB
 from tests.support.authority import NOW_S, Fleet, Party, S
 from tests.support.logs import Log
-from tests.support.messages import ROBOT, sample_of
+from tests.support.messages import ROBOT, plain, sample_of
 
 JOURNAL_NS = 50_000_000
 PER_SECOND = S // JOURNAL_NS
@@ -65,7 +65,7 @@ class SignedRun:
 
     def publish(self, kind: type[Message], /, **said: Any) -> Message:  # noqa: ANN401 - fields of a message
         sequence = self._next[kind] = self._next.get(kind, -1) + 1
-        message = kind(time_ns=self.time_ns, sequence=sequence, **said)
+        message = plain(kind, time_ns=self.time_ns, sequence=sequence, **said)
         self.samples.append(message)
         return message
 
@@ -103,11 +103,16 @@ class SignedRun:
 
     def decide(self, request: str, operator: str) -> None:
         self.publish(
-            Decision, tick=self._tick, request=request, operator=operator, lease=LEASE, request_sequence=None,
-            age_ms=None, verdict=Verdict.ACCEPTED, reason=Reason.NONE, detail="", bound_by=[],
-            requested_speed_mps=None, requested_angle_deg=None, output_speed_mps=0.25, output_angle_deg=-0.0,
+            Decision,
+            tick=self._tick,
+            request=request,
+            operator=operator,
+            lease=LEASE,
+            verdict=Verdict.ACCEPTED,
+            output_speed_mps=0.25,
+            output_angle_deg=-0.0,
             frames_sent=4,
-        )  # fmt: skip
+        )
 
     def seconds(self, count: int) -> None:
         """Let time pass: journals, decisions and an event."""
