@@ -37,15 +37,6 @@ STEERING_ID: Final = _FINE["Auto_SteeringCmd"].can_id
 DRIVE_ID: Final = _FINE["Auto_DriveCmd"].can_id
 
 
-def is_left(angle_raw: int) -> bool:
-    """The command is nearer to the second angle than to the first."""
-    return angle_raw > MIDDLE_RAW
-
-
-def is_right(angle_raw: int) -> bool:
-    return not is_left(angle_raw)
-
-
 class Witness:
     """Another client of the bus, which notes the time of each steering and drive command."""
 
@@ -224,7 +215,7 @@ def drives_us(driver: Driver, witness: Witness, count: int, random: Random) -> l
         left = bool(number % 2)
         put_s = driver.drive(SPEED_MPS, ANGLES_DEG[left])
         if number:
-            found.append(witness.first_us(put_s, STEERING_ID, is_left if left else is_right))
+            found.append(witness.first_us(put_s, STEERING_ID, lambda raw, left=left: (raw > MIDDLE_RAW) is left))  # type: ignore[misc]  # bound at once
         time.sleep(random.uniform(0.015, 0.035))
     return found
 

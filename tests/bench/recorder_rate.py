@@ -72,7 +72,12 @@ def find_held(seconds: float, guess: int) -> Held | None:
 def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
     runs = compare(rounds)
     script = make_script()
-    table = _compared(runs)
+    table = [
+        *_figure(runs, FROM_QUEUE, lambda one: one.per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),
+        *_figure(runs, "CPU for a record, all of it", lambda one: one.cpu_us, "{:.1f} us"),
+        *_figure(runs, "bytes of a record in the log", lambda one: one.bytes / one.written, "{:.1f}"),
+    ]
     guess = median(one.per_s for one in runs[OURS]) / script.records_per_s
     held = find_held(seconds, max(1, round(guess / 2)))
     if held is None:
@@ -96,19 +101,10 @@ def rows(rounds: int, seconds: float, sustain_s: float) -> list[Row]:
     ]
 
 
-def _compared(runs: dict[str, list[Run]]) -> list[Row]:
-    """Ours and each peer's; ratios are medians over the rounds, and above 1 where ours is better."""
-    return [
-        *_figure(runs, FROM_QUEUE, lambda one: one.per_s, "{:,.0f}/s", is_rate=True),
-        *_figure(runs, "records/s, the load meanwhile", lambda one: one.loaded_per_s, "{:,.0f}/s", is_rate=True),
-        *_figure(runs, "CPU for a record, all of it", lambda one: one.cpu_us, "{:.1f} us"),
-        *_figure(runs, "bytes of a record in the log", lambda one: one.bytes / one.written, "{:.1f}"),
-    ]
-
-
 def _figure(
     runs: dict[str, list[Run]], what: str, measure: Callable[[Run], float], form: str, *, is_rate: bool = False
 ) -> list[Row]:
+    """Ours and each peer's; ratios are medians over the rounds, and above 1 where ours is better."""
     ours = [measure(one) for one in runs[OURS]]
     table: list[Row] = [(f"recorder: {what}", form.format(median(ours)), "")]
     for peer, name in NAMES.items():

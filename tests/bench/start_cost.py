@@ -53,12 +53,6 @@ class Memory(msgspec.Struct, frozen=True):
     own: float
 
 
-def measure_starts(starts: int) -> list[Start]:
-    with ExitStack() as stack:
-        bus = _chassis(stack)
-        return [_start_once(bus) for _ in range(starts)]
-
-
 def _start_once(bus: list[str]) -> Start:
     endpoint = free_endpoint()
     came = threading.Event()
@@ -120,7 +114,9 @@ def rows(starts: int, seconds: float) -> list[Row]:
         )
         for name, one in found.items()
     ]
-    started = measure_starts(starts)
+    with ExitStack() as stack:
+        bus = _chassis(stack)
+        started = [_start_once(bus) for _ in range(starts)]
     first_s = sorted(one.first_s for one in started)
     return [
         *memory,

@@ -15,7 +15,7 @@ def provision(directory: Path, who: str, party: Party, fleet: Fleet) -> Path:
     """Write key, grant and authority of a party into a directory. Returns that directory."""
     directory.mkdir(parents=True, exist_ok=True)
     key = directory / f"{who}.key"
-    key.write_bytes(private_pem(party))
+    key.write_bytes(party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     key.chmod(0o600)
     (directory / f"{who}.grant").write_text(chain_text(party.chain))
     return write_authority(directory, fleet)
@@ -27,7 +27,3 @@ def write_authority(directory: Path, fleet: Fleet) -> Path:
     said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
     (directory / "authority.json").write_text(json.dumps(said))
     return directory
-
-
-def private_pem(party: Party) -> bytes:
-    return party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())

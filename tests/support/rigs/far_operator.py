@@ -3,8 +3,12 @@
 It does what ``Lease`` does on its thread, for a program that drives whenever it may.
 """
 
+from __future__ import annotations
+
 from collections import deque
+from random import Random
 from statistics import median
+from typing import Any
 
 import msgspec
 
@@ -14,7 +18,6 @@ from schemas.decisions import ArbiterState, EventKind, LeaseReply, Reply, Safety
 from schemas.reasons import Reason
 from schemas.requests import Acquire, Engage, Renew, Request, Unpark
 from tests.support.links import LinkProfile
-from tests.support.lossy_link import LossyLink
 from tests.support.rigs.gateway import GatewayRig
 
 NAME = "far"
@@ -22,6 +25,49 @@ PERIOD_NS = round(PERIOD_S * 1e9)
 RENEW_NS = 500_000_000
 ANSWER_NS = 3_000_000_000
 VERBS: dict[type[Request], str] = {Acquire: "acquire", Engage: "engage", Renew: "renew", Unpark: "unpark"}
+
+
+class LossyLink:
+    """Both directions of a link; messages under way keep their delay when ``profile`` changes."""
+
+    def __init__(self, profile: LinkProfile, seed: int) -> None:
+        self.is_cut = False
+        self.profile = profile
+        self.random = Random(seed)  # noqa: S311 - the same link each time
+        self._stall_ends_ns = 0
+        self._stalls_ns = self._next_stall_ns(0)
+        self.up, self.down = Direction(self), Direction(self)
+
+    def is_stalled(self, now_ns: int) -> bool:
+        if now_ns >= self._stalls_ns:
+            self._stall_ends_ns = self._stalls_ns + round(self.profile.stall_s * 1e9)
+            self._stalls_ns = self._next_stall_ns(self._stall_ends_ns)
+        return self.is_cut or now_ns < self._stall_ends_ns
+
+    def _next_stall_ns(self, from_ns: int) -> int:
+        every_s = self.profile.stall_every_s
+        return from_ns + round(self.random.expovariate(1 / every_s) * 1e9) if every_s else 2**63
+
+
+class Direction:
+    """One direction of a link, in order."""
+
+    def __init__(self, link: LossyLink) -> None:
+        self._link = link
+        self._waiting: deque[tuple[int, Any]] = deque()
+        self._last_ns = 0
+
+    def send(self, message: object, now_ns: int) -> None:
+        delay_s = self._link.profile.delay_s(self._link.random)
+        self._last_ns = max(self._last_ns, now_ns + round(delay_s * 1e9))
+        self._waiting.append((self._last_ns, message))
+
+    def receive(self, now_ns: int) -> list[Any]:
+        arrived: list[Any] = []
+        if not self._link.is_stalled(now_ns):
+            while self._waiting and self._waiting[0][0] <= now_ns:
+                arrived.append(self._waiting.popleft()[1])
+        return arrived
 
 
 class Trip(msgspec.Struct, frozen=True):
@@ -68,21 +114,21 @@ class FarOperator:
     def _exchange(self, now_ns: int) -> None:
         """The robot's side: receive and send."""
         rig = self._rig
-        for verb, kind, payload in self._link.receive_up(now_ns):
+        for verb, kind, payload in self._link.up.receive(now_ns):
             if kind is None:
                 rig.put(NAME, verb, payload)
             else:
                 self._handles[rig.query(NAME, verb, payload)] = kind
         for handle in list(self._handles):
             if handle in rig.replies:
-                self._link.send_down((self._handles.pop(handle), rig.replies.pop(handle)), now_ns)
+                self._link.down.send((self._handles.pop(handle), rig.replies.pop(handle)), now_ns)
         if len(rig.published) > self._published:
             self._published = len(rig.published)
-            self._link.send_down(rig.says, now_ns)
+            self._link.down.send(rig.says, now_ns)
 
     def _act(self, now_ns: int) -> None:
         """The operator's side: receive and send."""
-        for message in self._link.receive_down(now_ns):
+        for message in self._link.down.receive(now_ns):
             if isinstance(message, SafetyState):
                 self._state = message
                 if self._stream is not None:
@@ -92,7 +138,7 @@ class FarOperator:
         self._go_on(now_ns)
         drive = self._stream.command(now_ns) if self._stream is not None else None
         if drive is not None:
-            self._link.send_up(("drive", None, encode_request(drive)), now_ns)
+            self._link.up.send(("drive", None, encode_request(drive)), now_ns)
 
     def _go_on(self, now_ns: int) -> None:
         stream, state = self._stream, self._state
@@ -125,7 +171,7 @@ class FarOperator:
 
     def _send(self, request: Request, now_ns: int) -> None:
         kind = type(request)
-        self._link.send_up((VERBS[kind], kind, encode_request(request)), now_ns)
+        self._link.up.send((VERBS[kind], kind, encode_request(request)), now_ns)
 
     def _answered(self, kind: type[Request], reply: Reply, now_ns: int) -> None:
         if self._asked is None or self._asked[0] is not kind:

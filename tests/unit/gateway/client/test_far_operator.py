@@ -5,9 +5,8 @@ import pytest
 from schemas.decisions import ArbiterState
 from schemas.reasons import TEXTS, Reason
 from tests.support.links import FAR, LINKS, LinkProfile
-from tests.support.lossy_link import LossyLink
 from tests.support.nights import by_night
-from tests.support.rigs.far_operator import FarOperator, trip
+from tests.support.rigs.far_operator import FarOperator, LossyLink, trip
 from tests.support.rigs.gateway import GatewayRig
 
 BY_DAY = ("Wi-Fi", "LTE bad")  # a link that stalls often, and one that loses much too
