@@ -55,7 +55,7 @@ GEAR_FEEDBACK: Final = 0x18C4D1EF
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 
 
-def plain(kind: type[Struct], **fields: Any) -> Struct:  # noqa: ANN401 - any field of the message
+def plain(kind: type[Struct], /, **fields: Any) -> Struct:  # noqa: ANN401 - any field of the message
     """A message whose other required fields are zero, empty, none or the first of their enumeration."""
     required = {one.name: _empty(one.type) for one in msgspec.structs.fields(kind) if one.required}
     return kind(**required | fields)
