@@ -92,17 +92,19 @@ class Managed(Running):
 
 def kill_all(pid: int) -> None:
     """Kill a process and its children: a guard outlives its gateway while it stops the robot."""
-    children = [child for task in Path(f"/proc/{pid}/task").iterdir() for child in _children(task)]
+    found = children(pid)
     os.kill(pid, signal.SIGKILL)
-    for child in children:
+    for child in found:
         with suppress(FileNotFoundError, ProcessLookupError):
             kill_all(child)
 
 
-def _children(task: Path) -> list[int]:
-    with suppress(FileNotFoundError, ProcessLookupError):  # The thread has ended.
-        return [int(child) for child in (task / "children").read_text().split()]
-    return []
+def children(pid: int) -> set[int]:
+    found: set[int] = set()
+    with suppress(FileNotFoundError, ProcessLookupError):  # A thread has ended.
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            found |= set(map(int, (task / "children").read_text().split()))
+    return found
 
 
 @contextmanager

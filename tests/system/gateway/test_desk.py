@@ -29,6 +29,7 @@ from tests.support.processes.desk import (
     drive,
     is_driven,
     open_robot,
+    profile,
     reset,
     take_control,
     texts,
@@ -45,16 +46,8 @@ DESK_ENDED = ("ERR_CONNECTION_REFUSED", "Connection closed before receiving a ha
 
 @pytest.fixture
 def context(running_browser: Browser) -> Iterator[BrowserContext]:
-    """A profile of its own. A page that complains in the console fails the test."""
-    complaints: list[str] = []
-    context = running_browser.new_context(locale="en-GB")
-    # Whoever drives here has said who they are, or was asked once.
-    context.add_init_script("try { localStorage.setItem('operator_asked', 'yes'); } catch {}")
-    context.on("weberror", lambda error: complaints.append(str(error.error)))
-    context.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-    yield context
-    context.close()
-    assert [one for one in complaints if not any(text in one for text in DESK_ENDED)] == []
+    with profile(running_browser, *DESK_ENDED) as context:
+        yield context
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from gateway.cli.demo import CRUISER
-from tests.support.processes.gateway import run
+from tests.support.processes.gateway import children, run
 
 TIMEOUT_S = 400  # on a busy machine a demo begins again and again
 pytestmark = [pytest.mark.timeout(TIMEOUT_S), pytest.mark.long]
@@ -107,7 +107,11 @@ def test_a_robot_that_the_guard_has_stopped_is_driven_on(tmp_path: Path) -> None
             if "drives a figure of eight" in line:
                 break
         assert not list((tmp_path / "log-2").glob("*.mcap"))
-        _hold_up(_child(process.pid, "gateway"), HELD_UP_S)
+        commands = {one: Path(f"/proc/{one}/cmdline").read_text().split("\0") for one in children(process.pid)}
+        [gateway] = (one for one, words in commands.items() if words[4] == "gateway")
+        os.kill(gateway, signal.SIGSTOP)
+        time.sleep(HELD_UP_S)
+        os.kill(gateway, signal.SIGCONT)
         rest, errors = process.communicate(timeout=TIMEOUT_S)
     told += rest
     assert process.returncode == 0, errors
@@ -116,20 +120,6 @@ def test_a_robot_that_the_guard_has_stopped_is_driven_on(tmp_path: Path) -> None
     assert_in_order(told, [*steps, "second-operator gave the lease back", str(tmp_path / "log-2")])
     assert [path.name for path in out.iterdir()] == ["of-an-earlier-run"]
     assert len(list((tmp_path / "log-2").glob("*Z.mcap"))) == 1
-
-
-def _hold_up(process: int, seconds: float) -> None:
-    os.kill(process, signal.SIGSTOP)
-    time.sleep(seconds)
-    os.kill(process, signal.SIGCONT)
-
-
-def _child(parent: int, command: str) -> int:
-    for task in Path(f"/proc/{parent}/task").iterdir():
-        for number in (task / "children").read_text().split():
-            if Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[4] == command.encode():
-                return int(number)
-    raise AssertionError(f"{parent} has no child {command}")
 
 
 @pytest.mark.usefixtures("beside_foreign_modules")

@@ -17,7 +17,7 @@ from schemas.settings import Settings, ZenohSettings
 from tests.support.desk_client import DeskClient
 from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
-from tests.support.processes.gateway import Running
+from tests.support.processes.gateway import Running, children
 from tests.support.processes.holding import hold
 from tests.support.waiting import wait_until
 
@@ -25,14 +25,8 @@ TWO = ["cruiser-1", "cruiser-2"]
 
 
 def descendants(pid: int) -> set[int]:
-    parents = {}
-    for place in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            parents[int(place.parent.name)] = int(place.read_text().rpartition(")")[2].split()[1])
-    found = {pid}
-    while more := {child for child, parent in parents.items() if parent in found} - found:
-        found |= more
-    return found - {pid}
+    found = children(pid)
+    return found.union(*map(descendants, found))
 
 
 def gateway_of(robot: str, pid: int) -> int:

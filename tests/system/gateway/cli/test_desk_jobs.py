@@ -11,28 +11,23 @@ import pytest
 from gateway.cli import desk_logs as jobs
 from gateway.cli.desk_logs import ask_review
 from recorder.cli.review import QUESTIONS
+from tests.support.processes.gateway import children
 from tests.support.rigs.scenarios import front_bumper, recorded
 
 
-def children() -> set[str]:
-    return {
-        child for task in Path("/proc/self/task").iterdir() for child in (task / "children").read_text().split()
-    }
-
-
 def test_a_question_that_takes_too_long_is_given_up() -> None:
-    before = children()
+    before = children(os.getpid())
     done = asyncio.run(ask_review(["info", "/dev/zero"], seconds=0.05))
     assert (done.code, done.output) == (None, b"")
     assert done.fault == "no answer within 0 s: use 'cruiser review info'"
-    assert children() <= before  # one of another test may have ended
+    assert children(os.getpid()) <= before  # one of another test may have ended
 
     async def go_away() -> None:
         await asyncio.wait_for(ask_review(["info", "/dev/zero"]), 0.05)
 
     with pytest.raises(TimeoutError):
         asyncio.run(go_away())
-    assert children() <= before  # one of another test may have ended
+    assert children(os.getpid()) <= before  # one of another test may have ended
 
 
 def test_where_no_process_can_be_started_the_answer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,14 +78,14 @@ def test_a_question_takes_so_much_memory_and_no_more(
 
 
 def test_a_question_has_a_low_priority_and_so_much_processor_time() -> None:
-    before = children()
+    before = children(os.getpid())
 
     async def look() -> tuple[int, tuple[int, int]]:
         asking = asyncio.create_task(ask_review(["info", "/dev/zero"], seconds=7.0))
         try:
-            while not (new := children() - before):  # noqa: ASYNC110 - nothing says when it has started
+            while not (new := children(os.getpid()) - before):  # noqa: ASYNC110 - nothing says when it has started
                 await asyncio.sleep(0)
-            (child,) = map(int, new)
+            (child,) = new
             while resource.prlimit(child, resource.RLIMIT_CPU)[0] < 0:  # noqa: ASYNC110 - nor when it is bounded
                 await asyncio.sleep(0)
             return os.getpriority(os.PRIO_PROCESS, child), resource.prlimit(child, resource.RLIMIT_CPU)

@@ -269,12 +269,12 @@ def listed(report: RobotStatus) -> str:
     return "\n".join(line.plain for line in fleet.list_view([report]))
 
 
-def every_view(report: RobotStatus) -> list[str]:
-    return [closely(report), listed(report)]
-
-
 def of(safety: SafetyState = ENGAGED, **changes: object) -> RobotStatus:
     return msgspec.structs.replace(FRESH, safety=msgspec.structs.replace(safety, **changes))
+
+
+def reading(**changes: object) -> RobotStatus:
+    return msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **changes))
 
 
 IDLE = msgspec.structs.replace(
@@ -355,6 +355,23 @@ SHOWN: dict[str, Row] = {
         (),
     ),
     "a gateway without health": (msgspec.structs.replace(FRESH, health=None), ALL, ("no health",), ()),
+    "a bumper hit": (reading(front_bumper=True), ALL, ("bumpers front HIT",), ()),
+    "both": (reading(front_bumper=True, rear_bumper=True), ALL, ("bumpers front and rear HIT",), ()),
+    "a bus that is down": (reading(bus_up=False), ALL, ("bus DOWN",), ()),
+    "silent frames": (reading(silent=["Auto_DriveFeedBack"]), ALL, ("silent Auto_DriveFeedBack",), ()),
+    "an unknown variant": (reading(variant=Variant.UNKNOWN), ALL, ("variant unknown",), ()),
+    "no zero for what is not known": (
+        reading(speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED),
+        CLOSE,
+        ("--", "undefined"),
+        ("m/s", "deg"),
+    ),
+    "no zero below zero": (
+        reading(angle_deg=-0.0006, speed_mps=-0.001),
+        CLOSE,
+        ("+0.00 m/s", "+0.0 deg"),
+        (),
+    ),
     "among many, what is wrong alone": (
         BUS_LOST,
         ("list",),
@@ -368,7 +385,7 @@ SHOWN: dict[str, Row] = {
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_view_shows(name: str) -> None:
     report, views, words, others = SHOWN[name]
-    drawn_as = dict(zip(ALL, every_view(report), strict=True))
+    drawn_as = {"close": closely(report), "list": listed(report)}
     for view_name in views:
         text = drawn_as[view_name]
         assert [word for word in words if word not in text] == [], text
@@ -390,37 +407,7 @@ def test_an_alarm_says_what_is_known_of_the_cause(change: dict[str, object], rea
     assert reason in alarm(msgspec.structs.replace(STALE, **change))
 
 
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        ({"front_bumper": True}, "bumpers front HIT"),
-        ({"front_bumper": True, "rear_bumper": True}, "bumpers front and rear HIT"),
-        ({"bus_up": False}, "bus DOWN"),
-        ({"silent": ["Auto_DriveFeedBack"]}, "silent Auto_DriveFeedBack"),
-        ({"variant": Variant.UNKNOWN}, "variant unknown"),
-    ],
-)
-def test_what_is_wrong_is_in_every_view(change: dict[str, object], word: str) -> None:
-    report = msgspec.structs.replace(FRESH, state=msgspec.structs.replace(STATE, **change))
-    assert word in listed(report)
-    assert word.split(" ", 1)[1] in closely(report)
-
-
-def test_a_value_that_is_not_known_is_no_zero() -> None:
-    unknown = msgspec.structs.replace(
-        STATE, speed_mps=None, angle_deg=None, mode=Mode.UNDEFINED, front_bumper=None
-    )
-    text = closely(msgspec.structs.replace(FRESH, state=unknown))
-    assert (text.count("--"), "undefined" in text) == (4, True)
-
-
 @given(report=REPORTS)
 def test_any_report_can_be_shown(report: RobotStatus) -> None:
     for text in (listed(report), drawn(Group(*fleet.detail_view(report)), 80)):
         assert text.replace("\n", "").isprintable()
-
-
-def test_nothing_is_shown_as_less_than_zero_when_it_rounds_to_zero() -> None:
-    straight = msgspec.structs.replace(STATE, angle_deg=-0.0006, speed_mps=-0.001)
-    text = closely(msgspec.structs.replace(FRESH, state=straight))
-    assert [one for one in ("+0.00 m/s", "+0.0 deg") if one not in text] == []
