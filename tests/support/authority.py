@@ -7,11 +7,15 @@ from typing import Any
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
+from gateway.authority.operator_proof import OperatorProof, new_lease_key
 from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor, trust_of
 from gateway.authority.session import RobotSigner
-from gateway.command.rulings import RawRequest
+from gateway.command.flow import PendingReply
+from gateway.command.rulings import Credentials, RawRequest
+from gateway.telemetry.samples import Received
 from schemas.authority.proof import (
     Grant,
     GrantRole,
@@ -27,20 +31,23 @@ from schemas.authority.proof import (
     signed_bytes,
 )
 from schemas.authority.trust import HeldGrant, Objection, Trust, fits
-from schemas.decisions import StatementReply
+from schemas.decisions import LeaseReply, StatementReply
 from schemas.reasons import Reason
+from schemas.requests import Acquire, Drive
 from schemas.settings import AuthoritySettings, Settings
-from schemas.subjects import BY_VERB, STATEMENT_REPLY_ENCODING
+from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
 
 NOW_S = 1_795_000_000
 DAY_S = 86_400
 S = 1_000_000_000
 CHALLENGE = b"newest.."
+AUTH = "fleet/cruiser-1/@auth"
+QUESTION = b"who are you now?"
 VERBS = [verb for verb in BY_VERB if verb != "stop"]
 
 
 class Party:
-    """Somebody with a key: an authority, an operator, a robot."""
+    """A party with a key: an authority, an operator, a robot."""
 
     def __init__(self, name: str = "somebody") -> None:
         self.name = name
@@ -56,7 +63,7 @@ class Party:
         return Signed(body, self.key, self.private.sign(signed_bytes(ProofKind.STATEMENT, body)), statement)
 
     def grant(self, to: Party, **changes: Any) -> list[Signed]:  # noqa: ANN401 - fields of a grant
-        """Grant everything, but for the changes. Returns the party's chain from then on."""
+        """Grant a party everything but for ``changes``; the grant is that party's chain from then on."""
         said: dict[str, Any] = {
             "serial": 1,
             "name": to.name,
@@ -89,22 +96,19 @@ class Party:
         )
 
     def prove(self, key: str, encoding: str, payload: bytes, challenge: bytes, nonce: bytes = b"") -> bytes:
-        """The attachment of a request of this party."""
         proof = RequestProof(self.chain[0].id, challenge, nonce or os.urandom(8))
         signature = self.private.sign(proof.signed(key, encoding, payload))
         return msgspec.structs.replace(proof, signature=signature).attachment()
 
 
 class Fleet:
-    """A fleet's authority with its standby, and the trust that its robots begin with."""
-
     def __init__(self) -> None:
         self.authority = Party("authority")
         self.standby = Party("standby")
         self.trust = Trust(self.authority.key, self.standby.key)
 
     def site(self, **changes: Any) -> Party:  # noqa: ANN401 - fields of a grant
-        """A party that grants, as an earlier version let sites do."""
+        """A party that grants, as earlier versions let sites do."""
         site = Party("depot")
         self.authority.grant(site, **({"role": GrantRole.SITE, "may_delegate": 1, "override": True} | changes))
         return site
@@ -148,7 +152,7 @@ class AuthorityBench:
         return effects
 
     def show(self, text: str) -> StatementReply:
-        """Show a statement. The reply has to be the robot's."""
+        """Send a statement, and check that the reply is the robot's."""
         raw = RawRequest(1, "", "", text.encode(), len(text))
         pending = self.authority.receive(raw, self.now_ns)
         proof = RobotProof.read(pending.attachment)
@@ -158,7 +162,7 @@ class AuthorityBench:
         return msgspec.msgpack.decode(pending.payload, type=StatementReply)
 
     def bars(self) -> dict[Reason, str]:
-        """The reasons against engaging, a second later."""
+        """Reasons why the robot cannot be engaged, a second later."""
         self.tick()
         return self._bars
 
@@ -181,9 +185,79 @@ class AuthorityBench:
         return self.own
 
     def restarted(self) -> Trust:
-        """The trust after a restart with the note of the next tick."""
+        """The trust after a restart with the stored state of the next tick."""
         kept = self.tick().kept
         assert kept is not None
         trust = trust_of(self.fleet.trust, kept)
         assert not isinstance(trust, Objection)
         return trust
+
+
+class Pair:
+    """An operator and a robot of one fleet, connected by bytes only."""
+
+    def __init__(self, *, met: bool = True, **granted: Any) -> None:  # noqa: ANN401 - fields of a grant
+        self.bench = AuthorityBench()
+        self.ann = self.bench.fleet.operator(**granted)
+        self.proof = self.new_proof()
+        self.refusal = self.meet() if met else None
+
+    def new_proof(self) -> OperatorProof:
+        return OperatorProof(self.ann.private, self.ann.chain, self.bench.fleet.trust, "fleet", lambda: NOW_S)
+
+    def meet(self, question: bytes = QUESTION) -> Objection | None:
+        return self.proof.meet("cruiser-1", self.shown(question), question)
+
+    def believes(self, received: Received, **changes: Any) -> bool:  # noqa: ANN401 - what arrives
+        return self.proof.believes("cruiser-1", msgspec.structs.replace(received, **changes))
+
+    def leased(self, lease: int) -> tuple[Credentials, X25519PrivateKey, bytes, Received]:
+        private, public = new_lease_key()
+        credentials, reply, request = self.ask(
+            "acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(lease)
+        )
+        return credentials, private, request, reply
+
+    @property
+    def robot(self) -> RobotAuthority:
+        return self.bench.authority
+
+    def shown(self, question: bytes = QUESTION) -> Received:
+        raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement), attachment=question)
+        reply = self.robot.receive(raw, self.bench.now_ns)
+        return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
+
+    def state(self, sequence: int, subject: str = "safety/state", boot: bytes = b"boot no1") -> Received:
+        known, key = BY_NAME[subject], f"fleet/cruiser-1/{subject}"
+        payload = msgspec.msgpack.encode({"time_ns": 1, "sequence": sequence})
+        signer = RobotSigner(self.bench.robot.private, boot)
+        return Received(key, known.encoding, payload, signer.publication(key, known.encoding, payload))
+
+    def restart(self, boot: bytes) -> None:
+        self.robot.signer = RobotSigner(self.bench.robot.private, boot)
+
+    def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:
+        self.bench.tick()
+        attachment = self.proof.request("cruiser-1", verb, payload, CHALLENGE)
+        admission = self.robot.admission
+        raw = admission.admit(RawRequest(7, verb, "ann", payload, len(payload), attachment=attachment), 0)
+        assert raw.credentials is not None
+        reply = admission.reply(PendingReply(7, verb, said))
+        key = f"fleet/cruiser-1/@cmd/ann/{verb}"
+        received = Received(key, BY_VERB[verb].reply_encoding, reply.payload, reply.attachment)
+        return raw.credentials, received, attachment
+
+    def drives(self, lease: int) -> Credentials:
+        payload = msgspec.msgpack.encode(
+            Drive(lease=lease, seq=1, challenge=CHALLENGE, speed_mps=0.1, angle_deg=0)
+        )
+        raw = RawRequest(0, "drive", "ann", payload, len(payload), attachment=self.proof.drive(payload))
+        credentials = self.robot.admission.admit(raw, 0).credentials
+        assert credentials is not None
+        return credentials
+
+
+def given(lease: int) -> bytes:
+    return msgspec.msgpack.encode(
+        LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0)
+    )

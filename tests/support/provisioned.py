@@ -12,7 +12,7 @@ from tests.support.authority import Fleet, Party
 
 
 def provision(directory: Path, who: str, party: Party, fleet: Fleet) -> Path:
-    """Write key, grant and authority of a party into a directory. Returns that directory."""
+    """Write a party's key, grant and authority to a directory. Returns the directory."""
     directory.mkdir(parents=True, exist_ok=True)
     key = directory / f"{who}.key"
     key.write_bytes(party.private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
@@ -22,7 +22,6 @@ def provision(directory: Path, who: str, party: Party, fleet: Fleet) -> Path:
 
 
 def write_authority(directory: Path, fleet: Fleet) -> Path:
-    """Write the fleet's ``authority.json`` into a directory. Returns that directory."""
     directory.mkdir(exist_ok=True)
     said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
     (directory / "authority.json").write_text(json.dumps(said))

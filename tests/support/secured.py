@@ -39,14 +39,13 @@ class Network:
         self.certificate = new_authority(self.key, int(time.time()))
 
     def node(self, role: TransportRole, name: str, robot: str = "", born_s: int | None = None) -> Path:
-        """The directory of a new node: key, certificate (as of then or now) and Zenoh file."""
         place = self._certified(role, name, int(time.time()) if born_s is None else born_s)
         file = zenoh_configuration(role, ROOT, place, [self.endpoint], robot)
         write(place / f"{role.value}.json5", json.dumps(file))
         return place
 
     def tls_file(self, name: str, role: TransportRole = TransportRole.DESK, **entries: object) -> str:
-        """The Zenoh file of a node that speaks TLS alone, without access rules; with further entries."""
+        """A Zenoh file of a node with mutual TLS and no rules."""
         place = self._certified(role, name, int(time.time()))
         link = {"protocols": ["tls"], "tls": tls_configuration(role, place)}
         file = place / "tls.json5"
@@ -68,7 +67,7 @@ class Network:
         return place
 
     def session(self, role: TransportRole, name: str, robot: str = "", **entries: object) -> zenoh.Session:
-        """A session of a new node; entries of its Zenoh configuration by path, ``__`` for a slash."""
+        """A session of a new node, with entries of its Zenoh configuration by path (``__`` for a slash)."""
         config = zenoh.Config.from_file(str(self.node(role, name, robot) / f"{role.value}.json5"))
         for path, value in entries.items():
             config.insert_json5(path.replace("__", "/"), json.dumps(value))
@@ -80,6 +79,5 @@ def pem(key: ec.EllipticCurvePrivateKey) -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a file that only its owner can read."""
     path.write_text(text, "utf-8")
     path.chmod(0o600)

@@ -38,14 +38,6 @@ def test_a_text_that_is_too_long_for_a_line_is_cut(length: int) -> None:
     assert short(text) == text if length <= LINE_LENGTH else short(text).endswith("x...")
 
 
-def test_a_file_or_a_link_to_one_is_regular(tmp_path: Path) -> None:
-    file, link = tmp_path / "file", tmp_path / "link"
-    file.write_text("")
-    link.symlink_to(file)
-    for path in (file, link):
-        check_regular(path, path.stat().st_mode)
-
-
 def test_what_is_no_file_is_named_with_its_kind(tmp_path: Path) -> None:
     fifo, place = tmp_path / "fi\nfo", tmp_path / "socket"
     os.mkfifo(fifo)

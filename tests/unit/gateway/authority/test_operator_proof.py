@@ -4,97 +4,21 @@ from typing import Any
 
 import msgspec
 import pytest
-from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
-from gateway.authority.operator_proof import OperatorProof, ViewerProof, new_lease_key
-from gateway.authority.robot_authority import RobotAuthority
-from gateway.authority.session import UNSIGNED, RobotSigner, not_believed
-from gateway.command.flow import PendingReply
-from gateway.command.rulings import Credentials, RawRequest
+from gateway.authority.operator_proof import ViewerProof, new_lease_key
+from gateway.authority.session import UNSIGNED, not_believed
+from gateway.command.rulings import RawRequest
 from gateway.telemetry.samples import Received
 from schemas.authority.trust import Objection, fingerprint
 from schemas.command_line import CommandError
 from schemas.decisions import LeaseReply, StatementReply
 from schemas.messages import SEQUENCE_MAX
 from schemas.reasons import Reason
-from schemas.requests import Acquire, Drive
-from schemas.subjects import BY_NAME, BY_VERB, STATEMENT_REPLY_ENCODING
-from tests.support.authority import CHALLENGE, NOW_S, AuthorityBench, Fleet
+from schemas.subjects import BY_NAME, STATEMENT_REPLY_ENCODING
+from tests.support.authority import AUTH, CHALLENGE, NOW_S, QUESTION, AuthorityBench, Fleet, Pair
 
 STATE = BY_NAME["safety/state"]
 STATE_KEY = "fleet/cruiser-1/safety/state"
-AUTH = "fleet/cruiser-1/@auth"
-QUESTION = b"who are you now?"
-
-
-class Pair:
-    """An operator and a robot of one fleet, connected by bytes only."""
-
-    def __init__(self, *, met: bool = True, **granted: Any) -> None:  # noqa: ANN401 - fields of a grant
-        self.bench = AuthorityBench()
-        self.ann = self.bench.fleet.operator(**granted)
-        self.proof = self.new_proof()
-        self.refusal = self.meet() if met else None
-
-    def new_proof(self) -> OperatorProof:
-        return OperatorProof(self.ann.private, self.ann.chain, self.bench.fleet.trust, "fleet", lambda: NOW_S)
-
-    def meet(self, question: bytes = QUESTION) -> Objection | None:
-        return self.proof.meet("cruiser-1", self.shown(question), question)
-
-    def believes(self, received: Received, **changes: Any) -> bool:  # noqa: ANN401 - what arrives
-        return self.proof.believes("cruiser-1", msgspec.structs.replace(received, **changes))
-
-    def leased(self, lease: int) -> tuple[Credentials, X25519PrivateKey, bytes, Received]:
-        private, public = new_lease_key()
-        credentials, reply, request = self.ask(
-            "acquire", msgspec.msgpack.encode(Acquire(public_key=public)), given(lease)
-        )
-        return credentials, private, request, reply
-
-    @property
-    def robot(self) -> RobotAuthority:
-        return self.bench.authority
-
-    def shown(self, question: bytes = QUESTION) -> Received:
-        raw = RawRequest(1, "", "", self.proof.statement, len(self.proof.statement), attachment=question)
-        reply = self.robot.receive(raw, self.bench.now_ns)
-        return Received(AUTH, STATEMENT_REPLY_ENCODING, reply.payload, reply.attachment)
-
-    def state(self, sequence: int, subject: str = "safety/state", boot: bytes = b"boot no1") -> Received:
-        known, key = BY_NAME[subject], f"fleet/cruiser-1/{subject}"
-        payload = msgspec.msgpack.encode({"time_ns": 1, "sequence": sequence})
-        signer = RobotSigner(self.bench.robot.private, boot)
-        return Received(key, known.encoding, payload, signer.publication(key, known.encoding, payload))
-
-    def restart(self, boot: bytes) -> None:
-        self.robot.signer = RobotSigner(self.bench.robot.private, boot)
-
-    def ask(self, verb: str, payload: bytes, said: bytes = b"") -> tuple[Credentials, Received, bytes]:
-        self.bench.tick()
-        attachment = self.proof.request("cruiser-1", verb, payload, CHALLENGE)
-        admission = self.robot.admission
-        raw = admission.admit(RawRequest(7, verb, "ann", payload, len(payload), attachment=attachment), 0)
-        assert raw.credentials is not None
-        reply = admission.reply(PendingReply(7, verb, said))
-        key = f"fleet/cruiser-1/@cmd/ann/{verb}"
-        received = Received(key, BY_VERB[verb].reply_encoding, reply.payload, reply.attachment)
-        return raw.credentials, received, attachment
-
-    def drives(self, lease: int) -> Credentials:
-        payload = msgspec.msgpack.encode(
-            Drive(lease=lease, seq=1, challenge=CHALLENGE, speed_mps=0.1, angle_deg=0)
-        )
-        raw = RawRequest(0, "drive", "ann", payload, len(payload), attachment=self.proof.drive(payload))
-        credentials = self.robot.admission.admit(raw, 0).credentials
-        assert credentials is not None
-        return credentials
-
-
-def given(lease: int) -> bytes:
-    return msgspec.msgpack.encode(
-        LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=lease, expires_s=2.0)
-    )
 
 
 def test_a_viewer_knows_the_robot_and_commands_nothing_but_a_stop() -> None:

@@ -7,20 +7,17 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from gateway.authority.operator_proof import new_lease_key
 from gateway.authority.robot_authority import AuthorityEffects, Kept, NameProof, TimeFloor, resume, trust_of
 from gateway.authority.session import RobotSigner
-from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from schemas.authority.proof import ROBOT_PROOF_BYTES, GrantRole, chain_text
 from schemas.authority.trust import Objection
-from schemas.codec import decode, encode
-from schemas.decisions import LeaseReply, SignedStatement
+from schemas.codec import decode
+from schemas.decisions import SignedStatement
 from schemas.reasons import TEXTS, Reason
-from schemas.requests import Acquire
 from schemas.settings import Settings
-from schemas.subjects import BY_NAME, BY_VERB
-from tests.support.authority import CHALLENGE, DAY_S, NOW_S, AuthorityBench, Fleet, Party, S
+from schemas.subjects import BY_NAME
+from tests.support.authority import DAY_S, NOW_S, AuthorityBench, Fleet, Pair, Party, S
 
 HOUR = 3600 * S
 
@@ -254,27 +251,10 @@ def test_a_grant_that_is_over_is_said_once_and_not_each_second() -> None:
     assert bench.tick().bars is None
 
 
-class Holding:
-    def __init__(self) -> None:
-        self.bench = AuthorityBench()
-        self.ann = self.bench.fleet.operator()
-        assert self.bench.show(chain_text(self.ann.chain)).ok
-        payload = encode(Acquire(public_key=new_lease_key()[1]))
-        attachment = self.ann.prove(KEY, BY_VERB["acquire"].encoding, payload, CHALLENGE)
-        admission = self.bench.authority.admission
-        admission.admit(RawRequest(1, "acquire", "ann", payload, len(payload), attachment=attachment), 0)
-        said = LeaseReply(ok=True, reason=Reason.NONE, detail="", cure="", lease=7)
-        admission.reply(PendingReply(1, "acquire", encode(said)))
-        assert admission.lease is not None
-        assert admission.lease.id == 7
-
-
-KEY = "fleet/cruiser-1/@cmd/ann/acquire"
-
-
 def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
     for why in ("by list 1", "its authority was replaced"):
-        holding = Holding()
+        holding = Pair()
+        holding.leased(7)
         assert holding.bench.tick().ended is None
         fleet, keys = holding.bench.fleet, (holding.ann.key,)
         is_list = why == "by list 1"
@@ -285,7 +265,8 @@ def test_the_tick_says_that_the_holders_grant_has_ended() -> None:
 
 
 def test_the_holders_grant_is_published_again_with_what_is_new() -> None:
-    holding = Holding()
+    holding = Pair()
+    holding.leased(7)
     bench = holding.bench
     bench.takes(bench.chain_of("bob"))
     bench.tick()
