@@ -553,13 +553,15 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
             ExitCode.USAGE,
         )
     try:
-        done = install(store, bundle, replace=arguments.replace, is_compared=arguments.fingerprint is not None)
+        files, until_s = install(
+            store, bundle, replace=arguments.replace, is_compared=arguments.fingerprint is not None
+        )
     except ValueError as error:
         raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
-    _say(f"{store.directory}: {', '.join(done.files)}")
+    _say(f"{store.directory}: {', '.join(files)}")
     _say(f"{bundle.role.value} {plain(bundle.name)}, from authority {bundle.fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
-    _say(f"certificate until {in_utc(done.certificate_until_s)}; {after}")
+    _say(f"certificate until {in_utc(until_s)}; {after}")
 
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:

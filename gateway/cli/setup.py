@@ -497,10 +497,10 @@ def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> 
             return
         say(f"installing {name} in {directory}")
         try:
-            done = install(store, bundle, replace=replace, is_compared=True)
+            files, _ = install(store, bundle, replace=replace, is_compared=True)
         except ValueError as error:
             raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
-    say(f"    {', '.join(done.files)}, from authority {bundle.fingerprint}")
+    say(f"    {', '.join(files)}, from authority {bundle.fingerprint}")
 
 
 def say(line: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from typing import Final, Self
 
 import msgspec
@@ -90,7 +89,7 @@ def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
     """The names in the certificate that is installed here."""
     name = CERTIFICATE_FILE.format(who=role.value)
     text = store.read(name, INSTALLED).decode(errors="replace")
-    with naming(plain(str(store.path(name))), remade(role.value)):
+    with naming(store.path(name), remade(role.value)):
         return names_of(read_certificates(text)[0])
 
 
@@ -101,19 +100,10 @@ def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> Enrolme
     return new_request(role, names, certificate_request(tls, role.value, names), private, tls)
 
 
-class Installed(msgspec.Struct, frozen=True):
-    """The result of an installation.
-
-    Attributes:
-        certificate_until_s: seconds since 1970.
-    """
-
-    files: list[str]
-    certificate_until_s: int
-
-
-def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool) -> Installed:
+def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool) -> tuple[list[str], int]:
     """Write the files of a bundle, if it is for the keys that are here.
+
+    Returns their names, and the end of the certificate, seconds since 1970.
 
     Args:
         is_compared: the authority's fingerprint was compared. Otherwise an installed authority is not replaced.
@@ -126,20 +116,16 @@ def install(store: KeyStore, bundle: Bundle, *, replace: bool, is_compared: bool
     changed = [name for name in unknown if store.has(name)]
     cure = f"--fingerprint installs it, if 'provision authority' or 'sign' printed {bundle.fingerprint} there"
     if AUTHORITY_FILE in changed and not (replace and is_compared):
-        shown = plain(str(store.path(AUTHORITY_FILE)))
+        shown = store.shown(AUTHORITY_FILE)
         raise UsageError(f"{shown} belongs to another authority; --replace with {cure}")
     if changed and not replace:
-        raise UsageError(
-            f"{plain(str(store.path(changed[0])))} differs from the bundle's; --replace overwrites it"
-        )
-    own = dict(_own_files(store, bundle))
-    settings = SETTINGS_FILE.format(who=who)
-    if store.has(settings):
-        # The user may have edited it.
-        own.pop(settings, None)
+        raise UsageError(f"{store.shown(changed[0])} differs from the bundle's; --replace overwrites it")
+    own = _own_files(store, bundle)
+    if store.has(settings := SETTINGS_FILE.format(who=who)):
+        own.pop(settings, None)  # The user may have edited it.
     store.write(own, replace=replace)
     store.write(_shared(bundle), replace=True)
-    return Installed([*own, *SHARED], until_s)
+    return [*own, *SHARED], until_s
 
 
 def unknown_of(store: KeyStore, bundle: Bundle) -> list[str]:
@@ -182,7 +168,7 @@ def _check_grant(store: KeyStore, bundle: Bundle) -> None:
 def _other_request(store: KeyStore, name: str, bundle: Bundle) -> CommandError:
     return UsageError(
         f"the bundle is for {_bundle_holder(bundle)}, and answers another request than that of "
-        f"{plain(str(store.path(name)))}: install it where its request was made, or request one with these keys "
+        f"{store.shown(name)}: install it where its request was made, or request one with these keys "
         f"('cruiser provision renew {bundle.role.value}')"
     )
 
@@ -191,7 +177,7 @@ def _bundle_holder(bundle: Bundle) -> str:
     return f"{bundle.role.value} {plain(bundle.name)}"
 
 
-def _own_files(store: KeyStore, bundle: Bundle) -> Mapping[str, str]:
+def _own_files(store: KeyStore, bundle: Bundle) -> dict[str, str]:
     role, who = bundle.role, bundle.role.value
     files = {CERTIFICATE_FILE.format(who=who): bundle.certificate}
     if role is EnrolmentRole.ROBOT:
@@ -375,7 +361,7 @@ class Issuer:
         if request.key and bytes.fromhex(request.key) in map(bytes.fromhex, revoked.keys):
             who = request.role.value
             raise UsageError(
-                f"the key of {who} {request.names[0]} was revoked: {self.store.path(REVOCATIONS_FILE)}, list "
+                f"the key of {who} {request.names[0]} was revoked: {self.store.shown(REVOCATIONS_FILE)}, list "
                 f"{revoked.serial} of {in_utc(revoked.at)}; {remade(who)}"
             )
 
@@ -414,17 +400,16 @@ class Issuer:
         try:
             return [msgspec.json.decode(line, type=Issued) for line in lines]
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-            path = self.store.path(ISSUED_FILE)
-            raise UsageError(f"{path} is damaged: {error}") from error
+            raise UsageError(f"{self.store.shown(ISSUED_FILE)} is damaged: {error}") from error
 
     def revoke(self, keys: list[str], now_s: int, *, raise_epoch: bool) -> Signed:
         """Sign a new list of revocations: the last one and these keys. Raising the epoch begins an empty list."""
         before, serials = self._revoked(), serials_of(self.store)
-        path = self.store.path(REVOCATIONS_FILE)
         if serials.revocations > before.serial and not raise_epoch:
             raise UsageError(
-                f"{path} is not the newest list: signing one now would cancel revocations. Restore the newest "
-                "from a backup or from a desk that shows it, or end all earlier grants with --epoch"
+                f"{self.store.shown(REVOCATIONS_FILE)} is not the newest list: signing one now would cancel "
+                "revocations. Restore the newest from a backup or from a desk that shows it, or end all earlier "
+                "grants with --epoch"
             )
         serial = max(serials.revocations, before.serial, now_s) + 1
         epoch = max(serials.epoch, before.epoch) + raise_epoch
@@ -474,7 +459,7 @@ class Issuer:
         try:
             return issue(request.csr, role, ca, key, now_s)
         except EnrolmentError as error:
-            raise UsageError(f"{self.store.path(CA_FILE)}: {error}") from error
+            raise UsageError(f"{self.store.shown(CA_FILE)}: {error}") from error
 
     def _revoked(self) -> Revocations:
         if not self.store.has(REVOCATIONS_FILE):
@@ -482,8 +467,9 @@ class Issuer:
         chain = read_chain(self.store.read(REVOCATIONS_FILE, ""))
         statement = None if isinstance(chain, StatementFault) else chain[0].statement
         if not isinstance(statement, Revocations):
-            path = self.store.path(REVOCATIONS_FILE)
-            raise UsageError(f"{path} is damaged: restore it from a backup, or revocations would be lost")
+            raise UsageError(
+                f"{self.store.shown(REVOCATIONS_FILE)} is damaged: restore it from a backup to lose no revocations"
+            )
         return statement
 
 

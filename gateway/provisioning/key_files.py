@@ -311,6 +311,9 @@ class KeyStore:
     def path(self, name: str) -> Path:
         return self.directory / name
 
+    def shown(self, name: str) -> str:
+        return plain(str(self.path(name)))
+
     def has(self, name: str) -> bool:
         return os.path.lexists(self.path(name))
 
@@ -320,7 +323,7 @@ class KeyStore:
         """Write files, or none of them if one exists and ``replace`` is not set."""
         present = [name for name in files if self.has(name)]
         if present and not replace:
-            raise UsageError(f"{plain(str(self.path(present[0])))} is there already; {cure}")
+            raise UsageError(f"{self.shown(present[0])} is there already; {cure}")
         try:
             self.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
@@ -335,7 +338,7 @@ class KeyStore:
             with os.fdopen(os.open(self.path(name), flags, 0o600), "w", encoding="utf-8") as file:
                 file.write(f"{line}\n")
         except OSError as error:
-            raise CommandError(f"{plain(str(self.path(name)))} cannot be written: {error.strerror}") from error
+            raise CommandError(f"{self.shown(name)} cannot be written: {error.strerror}") from error
 
     def read(self, name: str, cure: str) -> bytes:
         return read_input(self.path(name), cure)
@@ -344,7 +347,7 @@ class KeyStore:
         try:
             return msgspec.json.decode(self.read(name, cure), type=kind)
         except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-            raise UsageError(f"{plain(str(self.path(name)))} is damaged: {error}; {cure}") from error
+            raise UsageError(f"{self.shown(name)} is damaged: {error}; {cure}") from error
 
     def pem(self, private: PrivateKey, *, is_protected: bool) -> str:
         """A private key in PEM, encrypted with the passphrase if it is to be protected."""
@@ -375,7 +378,7 @@ class KeyStore:
             raise UsageError(f"{plain(str(file.path))}: {why}") from error
 
     def _other_kind(self, name: str, cure: str) -> CommandError:
-        return UsageError(f"{plain(str(self.path(name)))} is another kind of key; {cure}")
+        return UsageError(f"{self.shown(name)} is another kind of key; {cure}")
 
     def _check_directory(self) -> None:
         found, shown = self.directory.stat(), plain(str(self.directory))
