@@ -145,20 +145,6 @@ class Note(Protocol):
         """Take each tick whether a stop by the guard is latched."""
 
 
-class LatchNoteView(Protocol):
-    """The note of the latches. Its methods never raise and never block."""
-
-    def follow(self, latched: Mapping[Reason, str]) -> str:
-        """Take the latches each tick. Returns once why they could not be written."""
-
-
-class MileageNoteView(Protocol):
-    """The note of the mileage. Its methods never raise and never block."""
-
-    def follow(self, mileage_km: float | None) -> str:
-        """Take the mileage each tick. Returns once a question if it differs from the noted one."""
-
-
 class FormerGuardView(Protocol):
     """The guard of the previous gateway.
 
@@ -179,7 +165,12 @@ class Manager(Protocol):
 
 
 class LoopPorts(msgspec.Struct):
-    """The ports of the loop. Inbox, guard and notes are None if the gateway only listens."""
+    """The ports of the loop. Inbox, guard and notes are None if the gateway only listens.
+
+    Attributes:
+        latch_note: takes the latches each tick, and returns once why they could not be written.
+        mileage_note: takes the mileage each tick, and returns once a question if it differs from the noted one.
+    """
 
     bus: FrameSource
     sink: SampleSink
@@ -191,8 +182,8 @@ class LoopPorts(msgspec.Struct):
     signed: SignedModePort | None = None
     notes: Callable[[], tuple[str, ...]] = tuple
     manager: Manager | None = None
-    latch_note: LatchNoteView | None = None
-    mileage_note: MileageNoteView | None = None
+    latch_note: Callable[[Mapping[Reason, str]], str] | None = None
+    mileage_note: Callable[[float | None], str] | None = None
 
 
 @contextmanager
@@ -281,10 +272,10 @@ def _follow_notes(ports: LoopPorts, core: Core, now_ns: int) -> None:
     latched = arbiter.latches.details
     if ports.note is not None:
         ports.note.follow(is_latched=Reason.GUARD in latched)
-    if ports.latch_note is not None and (fault := ports.latch_note.follow(latched)):
+    if ports.latch_note is not None and (fault := ports.latch_note(latched)):
         core.warn(fault, now_ns)
     mileage_km = arbiter.monitor.chassis.total_mileage_km
-    if ports.mileage_note is not None and (question := ports.mileage_note.follow(mileage_km)):
+    if ports.mileage_note is not None and (question := ports.mileage_note(mileage_km)):
         core.warn(question, now_ns)
 
 

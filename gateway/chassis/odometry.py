@@ -132,7 +132,7 @@ class DeadReckoning:
         if before is None or not 0 < time_ns - before[0] <= GAP_NS:
             self._way_m = self._counted = 0.0
             return
-        self._counted += (_wrapped(left - before[1]) + _wrapped(right - before[2])) / 2
+        self._counted += (wrapped(left - before[1]) + wrapped(right - before[2])) / 2
         counted_m = self._counted / self._pulses_per_m if self._pulses_per_m else 0.0
         if max(abs(self._way_m), abs(counted_m)) < PULSE_WAY_M:
             return
@@ -213,5 +213,6 @@ class DeadReckoning:
             self._pulses_per_m = self._learned_pulses / self._learned_m
 
 
-def _wrapped(pulses: int) -> int:
+def wrapped(pulses: int) -> int:
+    """A difference of encoder counts, which are signed 16-bit numbers that wrap."""
     return (pulses + 0x8000) % 0x1_0000 - 0x8000

@@ -152,8 +152,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             signed,
             lambda: _notes(signed, renewal, node),
             _manager(closing),
-            latch_note,
-            mileage_note,
+            latch_note.follow,
+            mileage_note.follow,
         )
         with _run_noted(core, settings):
             try:

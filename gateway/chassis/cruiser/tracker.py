@@ -15,7 +15,7 @@ from gateway.chassis.cruiser.frames import (
     WHEEL_PULSE,
     WHEEL_SPEED,
 )
-from gateway.chassis.odometry import DeadReckoning, signed_speed_mps
+from gateway.chassis.odometry import DeadReckoning, signed_speed_mps, wrapped
 from gateway.chassis.port import ChassisState, FeedbackRow
 from gateway.chassis.supervision import VariantDetector, silence_ns
 from schemas.can_word import COUNTER_SPAN
@@ -209,11 +209,7 @@ def _counted(pulses: WheelPulse, before: WheelPulse) -> int:
     """Return the pulses of both wheels, across the wrap of the signed 16 bits."""
     left = pulses.rear_left_pulses - before.rear_left_pulses
     right = pulses.rear_right_pulses - before.rear_right_pulses
-    return _wrapped(left) + _wrapped(right)
-
-
-def _wrapped(pulses: int) -> int:
-    return (pulses + 0x8000) % 0x1_0000 - 0x8000
+    return wrapped(left) + wrapped(right)
 
 
 def _sign(number: int) -> int:

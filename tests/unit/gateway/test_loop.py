@@ -1,10 +1,11 @@
-"""The one thread, with a fake clock, a fake bus and a fake Zenoh: a busy machine makes no tick late."""
+"""The loop with a fake clock, a fake bus and a fake Zenoh, so that a busy machine makes no tick late."""
 
 import gc
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -30,7 +31,7 @@ from tests.support.waiting import DEADLINE_S, StopWhen
 
 
 class Clock:
-    """Time that passes where somebody waits for it. It stands in for the module ``time``."""
+    """Replaces the module ``time``: time passes only in ``sleep``."""
 
     def __init__(self) -> None:
         self.now_ns = 1_000_000_000
@@ -59,11 +60,11 @@ def _fake_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 FRAME_S = 20e-6
-"""Reading a frame from a busy bus takes so long."""
+"""Time to read a frame from a busy bus."""
 
 
 class FakeBus:
-    """A bus that is up or not, and holds frames; and the loop, for so long each time that it is read at first."""
+    """A bus with frames, up or down; its first reads take as long as ``stalls`` says."""
 
     def __init__(self, frames: list[Frame], stalls: tuple[float, ...] = ()) -> None:
         self.frames = frames
@@ -89,7 +90,7 @@ class FakeBus:
 
 
 class BusyBus(FakeBus):
-    """Always has a frame; counts how many are taken one after the other without looking at the time."""
+    """Always has a frame; counts the frames read without a look at the time."""
 
     taken = longest = 0
 
@@ -102,7 +103,7 @@ class BusyBus(FakeBus):
 
 
 class FakeZenoh:
-    """Keeps what is published, and says when it is used."""
+    """Stores the published samples, and records the order of calls."""
 
     def __init__(self, order: list[str] | None = None) -> None:
         self.order = [] if order is None else order
@@ -130,12 +131,10 @@ class FakeZenoh:
         self.answered += 1
 
     def of(self, subject: str) -> list[dict[str, Any]]:
-        """What was published of a subject, the newest last."""
         return [msgspec.msgpack.decode(one.payload) for one in self.samples if one.subject == subject]
 
 
 def core() -> Core:
-    """A core of a known variant."""
     command = CommandSettings(speed_limit_mps=2.222)
     settings = Settings(chassis=ChassisSettings(variant="coarse"), command=command)
     return Core(CHASSIS, settings, "0", clock.monotonic_ns())
@@ -165,7 +164,6 @@ def test_frames_come_out_as_samples_and_ticks_go_on() -> None:
 
 
 def test_the_service_manager_is_fed_by_each_tenth_round_that_was_done() -> None:
-    """A loop that stands still feeds nothing."""
     fed: list[tuple[int, str]] = []
     bus = FakeBus([])
 
@@ -182,7 +180,7 @@ def test_the_service_manager_is_fed_by_each_tenth_round_that_was_done() -> None:
 
 
 def test_a_lost_bus_a_lost_zenoh_and_a_pause_end_nothing(caplog: pytest.LogCaptureFixture) -> None:
-    """The ticks go on; the state says that the bus is down, and the log says each once."""
+    """The ticks continue; the state shows the bus as down, and each is logged once."""
     bus, zenoh = FakeBus([]), FakeZenoh()
 
     def stopped() -> bool:
@@ -207,7 +205,7 @@ def test_a_lost_bus_a_lost_zenoh_and_a_pause_end_nothing(caplog: pytest.LogCaptu
 
 
 def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
-    """Frames are taken a bounded number at a time; where more come than are read, it is a cause to stop."""
+    """A bounded number is read at a time; an overload is a cause to stop."""
     for kind in (BusyBus, FakeBus):
         made, zenoh, bus = core(), FakeZenoh(), kind(list(Feedback(Variant.COARSE).all())[:1])
         loop(bus, zenoh, StopWhen(lambda zenoh=zenoh: zenoh.answered >= 40), made)  # type: ignore[misc]
@@ -217,7 +215,6 @@ def test_a_bus_that_is_never_empty_does_not_keep_the_tick_waiting() -> None:
 
 
 def test_after_a_pause_the_bus_is_read_before_anything_is_decided() -> None:
-    """What was seen before the pause is old."""
     made, zenoh, seen = core(), FakeZenoh(), list[tuple[int, int]]()
     bus, tick = FakeBus(list(Feedback(Variant.COARSE).all()), stalls=(0.15,)), made.tick
 
@@ -233,7 +230,7 @@ def test_after_a_pause_the_bus_is_read_before_anything_is_decided() -> None:
 
 
 def test_zenoh_is_asked_who_is_there_in_every_tenth_tick() -> None:
-    """The answer costs more than it changes; between two questions the last one holds. No garbage is collected."""
+    """Between two questions the last answer holds. No garbage is collected."""
     zenoh, enabled = FakeZenoh(), set[bool]()
 
     def stopped() -> bool:
@@ -260,7 +257,7 @@ def test_no_challenge_is_ever_published_twice() -> None:
 
 
 class Chassis(FakeBus):
-    """The simulated chassis at the other end of the bus, in real time; it takes frames as told."""
+    """The simulated chassis at the other end of the bus; ``takes``: frames that it accepts."""
 
     def __init__(self, order: list[str]) -> None:
         super().__init__([])
@@ -280,8 +277,6 @@ class Chassis(FakeBus):
 
 
 class FakeInbox:
-    """Requests that are put in by hand, and the replies to them."""
-
     def __init__(self, order: list[str]) -> None:
         self.order = order
         self.drops = 0
@@ -310,7 +305,7 @@ class FakeInbox:
 
 
 class FakeGuard:
-    """A guard that watches or not, and counts the beats; and the one of a gateway before."""
+    """A guard, present or of the previous gateway, that counts the beats."""
 
     def __init__(self, order: list[str]) -> None:
         self.order = order
@@ -330,7 +325,7 @@ class FakeGuard:
 
 
 class FakeNotes:
-    """The notes of the guard's stop, of what is latched, which may not be written, and of the mileage."""
+    """The notes of the guard's stop, of the latches, with a fault, and of the mileage."""
 
     def __init__(self, order: list[str]) -> None:
         self.order = order
@@ -357,13 +352,6 @@ class FakeNotes:
         return "is this the same chassis?"
 
 
-class Followed:
-    """A note, by what follows it."""
-
-    def __init__(self, follow: Callable[..., Any]) -> None:
-        self.follow = follow
-
-
 Steps = Iterator[bool]
 
 
@@ -382,7 +370,7 @@ class Commanded:
         self.core = core()
 
     def run(self, script: Callable[["Commanded"], Steps]) -> "Commanded":
-        """Each ``yield`` of the script waits until what it says is true."""
+        """Each ``yield`` of the script waits one tick."""
         steps = script(self)
         deadline_s = time.monotonic() + DEADLINE_S
 
@@ -397,11 +385,11 @@ class Commanded:
             self.core,
             inbox=self.inbox,
             guard=self.guard,
-            note=Followed(self.notes.of_guard),
+            note=SimpleNamespace(follow=self.notes.of_guard),
             former_guard=self.former_guard,
             has_realtime=lambda: self.is_realtime,
-            latch_note=self.notes,
-            mileage_note=Followed(self.notes.of_mileage),
+            latch_note=self.notes.follow,
+            mileage_note=self.notes.of_mileage,
         )
         return self
 
@@ -410,12 +398,10 @@ class Commanded:
             yield False
 
     def asked(self, verb: str, **fields: object) -> Steps:
-        """Ask, and wait for the reply."""
         handle = self.inbox.ask(verb, **fields)
         yield from self.until(lambda: handle in self.inbox.replies)
 
     def engage(self) -> Steps:
-        """First takes the lease and engages."""
         yield from self.until(lambda: self.says("blocked_by") == ["no_lease", "not_engaged"])
         yield from self.asked("acquire")
         yield from self.asked("engage", lease=self.inbox.replies[1]["lease"], challenge=self.says("challenge"))
@@ -432,7 +418,7 @@ class Commanded:
         yield from self.until(lambda: bool(self.zenoh.of("gateway/health")))
 
     def ticks(self) -> list[list[str]]:
-        """What was done in each tick, in its order."""
+        """The calls of each tick, in order."""
         ticks: list[list[str]] = []
         for word in self.order:
             if word == "tick":
@@ -443,7 +429,7 @@ class Commanded:
 
 
 def test_the_number_of_a_lease_is_in_the_replies_to_its_holder_alone() -> None:
-    """Not in what is published, the journal with its requests included; and what is published is no number."""
+    """Not in published samples, the journal included; the published identifier is no number."""
     numbers: list[int] = []
 
     def script(one: Commanded) -> Steps:
@@ -465,10 +451,7 @@ def test_the_number_of_a_lease_is_in_the_replies_to_its_holder_alone() -> None:
 
 
 def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
-    """In a tick: the frames, the beat, the replies, the samples, and then what was decided.
-
-    One beat a tick, whether anything is sent or not, in the order of time; and a last one of who is at rest.
-    """
+    """In a tick: frames, beat, replies, samples, decisions. One beat in every tick, and a last one at rest."""
     commanded = Commanded().run(Commanded.engage)
     rank = {"frames": 0, "beat": 1, "reply": 2, "sample": 3, "decision": 4}
     *ticks, last = commanded.ticks()
@@ -483,7 +466,7 @@ def test_frames_go_out_before_anything_else_and_decisions_last() -> None:
 
 
 def test_what_is_latched_is_on_its_way_to_the_disk_before_anybody_is_told() -> None:
-    """In the tick of the stop: somebody goes up to the robot on the word of the reply."""
+    """In the tick of the stop, because a person may walk up to the robot after the reply."""
 
     def script(one: Commanded) -> Steps:
         yield from one.engage()
@@ -494,7 +477,6 @@ def test_what_is_latched_is_on_its_way_to_the_disk_before_anybody_is_told() -> N
 
 
 def test_a_note_that_cannot_be_written_is_an_event() -> None:
-    """Who stops the robot hears that a restart would forget it."""
     commanded = Commanded()
     commanded.notes.fault = "a restart would forget what is latched"
     commanded.run(lambda one: one.until(lambda: bool(one.event_texts())))
@@ -502,7 +484,7 @@ def test_a_note_that_cannot_be_written_is_an_event() -> None:
 
 
 def test_the_loop_ends_when_the_robot_is_at_rest_and_not_before() -> None:
-    """Told to end while engaged it goes through the whole stop: parked, disabled, silent."""
+    """A shutdown while engaged goes through the whole stop: parked, disabled, silent."""
     ended: list[int] = []
 
     def script(one: Commanded) -> Steps:
@@ -520,7 +502,7 @@ def test_the_loop_ends_when_the_robot_is_at_rest_and_not_before() -> None:
 
 
 def test_an_end_that_never_comes_to_rest_is_an_end_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bus that takes nothing any more must not keep the process for ever; meanwhile ticks and beats go on."""
+    """A bus that accepts nothing must not block the process forever; ticks and beats go on."""
     monkeypatch.setattr(loop_module, "REST_TIMEOUT_NS", 300 * MS)
 
     def script(one: Commanded) -> Steps:
@@ -553,7 +535,7 @@ def test_what_the_guard_does_reaches_the_arbiter_and_is_noted_until_it_is_reset(
 
 @pytest.mark.parametrize("is_stopping", [True, False])
 def test_the_guard_of_a_dead_gateway_is_no_other_computer(*, is_stopping: bool) -> None:
-    """Its frames are known for as long as it has not said that it is done; then its words are an event."""
+    """Until it reports its end the frames are its own; then its words are an event."""
     commanded = Commanded()
     commanded.former_guard.is_stopping = is_stopping
     encoder = Encoder(load(Variant.COARSE))
@@ -585,7 +567,6 @@ def test_another_mileage_than_before_is_an_event_and_bars_nothing() -> None:
 
 
 def test_a_former_guard_whose_frames_do_not_come_is_not_waited_for() -> None:
-    """It may be dead as well: the gateway looks for itself, and is engaged."""
     commanded = Commanded()
     commanded.former_guard.is_stopping = True
     commanded.run(Commanded.engage)
@@ -607,7 +588,7 @@ def test_real_time_priority_is_in_health_and_sets_the_speed_limit() -> None:
 
 
 def test_a_guard_that_acted_during_the_tick_is_noticed_before_anything_is_sent() -> None:
-    """This process stood still between looking and sending, for longer than a stop of the guard's lasts."""
+    """This process was paused between looking and sending, for longer than a stop of the guard lasts."""
 
     def script(one: Commanded) -> Steps:
         yield from one.engage()
