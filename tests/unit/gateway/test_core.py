@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 
 from gateway.chassis import port
-from gateway.chassis.cruiser.frames import SCALED_BY_VARIANT, load
+from gateway.chassis.cruiser.frames import MOTION_FRAMES, SCALED_BY_VARIANT, load
 from gateway.chassis.frame import ERROR, EXTENDED, Frame
-from gateway.chassis.layout import Encoder
+from gateway.chassis.layout import Encoder, MessageLayout
 from gateway.choice.chassis import CHASSIS
 from gateway.command.rulings import RawRequest
 from gateway.core import Core
@@ -18,11 +18,10 @@ from gateway.telemetry.health import Links
 from schemas import codec
 from schemas.codec import Sample
 from schemas.messages import CanFrames, GatewayHealth, Message, Mode, ParkingStatus, RobotState, Variant
-from schemas.reasons import Reason
-from schemas.settings import REST_TIMEOUT_NS, CanSettings, ChassisSettings, GatewaySettings, Settings
+from schemas.settings import CanSettings, ChassisSettings, GatewaySettings, Settings
 from schemas.subjects import BY_NAME
 from tests.support.frames import CHALLENGE, MS, STANDING, WALL_NS, Feedback
-from tests.support.rigs.gateway import GatewayRig, Operator, ready
+from tests.support.rigs.gateway import GatewayRig, Operator
 from tests.support.strategies import VARIANTS, frames
 
 COARSE, FINE, UNKNOWN = Variant.COARSE, Variant.FINE, Variant.UNKNOWN
@@ -53,7 +52,6 @@ def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Any]]:
 
 
 def health_after(made: Core, at_ms: int = 1000, from_ms: int | None = None) -> GatewayHealth:
-    """The health at this time; the ticks begin then, or before."""
     (health,) = ticks(made, at_ms, at_ms if from_ms is None else from_ms)["gateway/health"]
     assert isinstance(health, GatewayHealth)
     return health
@@ -66,7 +64,6 @@ def state_after(made: Core, at_ms: int = 0) -> RobotState:
 
 
 def confirm(made: Core, feedback: Feedback) -> None:
-    """Show the standstill evidence."""
     for _ in range(5):
         made.receive_frame(feedback.frame("Auto_WheelSpdFeedback"), 0)
 
@@ -85,7 +82,6 @@ def give(made: Core, feedback: Feedback, at_ns: int = 0, **values: float | str) 
 
 
 def spoilt(frame: Frame) -> Frame:
-    """With a wrong checksum."""
     return Frame(frame.can_id, frame.data[:7] + bytes([frame.data[7] ^ 1]))
 
 
@@ -108,10 +104,7 @@ def test_each_feedback_frame_becomes_its_sample(variant: Variant) -> None:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_no_speed_is_published_before_its_scale_is_known(variant: Variant) -> None:
-    """Speeds wait for the evidence; everything else does not. What is withheld is not judged.
-
-    The frames that wait are exactly those whose layouts differ between the two DBCs.
-    """
+    """Only the frames whose layouts differ between the DBCs wait for the evidence, and are not judged."""
     coarse, fine = load(COARSE), load(FINE)
     differing = {layout.name for layout in coarse.feedback if layout != fine.messages[layout.name]}
     assert differing == set(SCALED_BY_VARIANT)
@@ -143,10 +136,7 @@ def test_evidence_against_the_variant_withholds_the_speeds() -> None:
 
 
 def test_the_variant_may_change_and_no_decoder_is_compiled_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both variants' are made at the start. What was decoded in the other scale is forgotten.
-
-    A bus that returns has to prove its variant again: another chassis may be on it now.
-    """
+    """Values of the other scale are forgotten; a bus that returns has to prove its variant again."""
     made = core()
     monkeypatch.setattr(port, "compile_message", None)
     for variant in (FINE, COARSE, FINE):
@@ -180,10 +170,7 @@ ALL_ZERO: dict[str, dict[str, object] | str] = {
 
 @pytest.mark.parametrize(("variant", "name"), [*product(VARIANTS, STANDING)])
 def test_eight_zero_bytes_do_not_pass_for_a_driving_robot(variant: Variant, name: str) -> None:
-    """They have a right checksum. What no robot can be is a fault; what remains says that nothing is on.
-
-    Without end they repeat their counter: soon none of them is current any more.
-    """
+    """Their checksum is right: they are implausible, or show that nothing is on, and soon they are stale."""
     made, says = core(variant.value), ALL_ZERO[name]
     zeros = Frame(load(variant).messages[name].can_id, bytes(8), WALL_NS)
     sample = made.receive_frame(zeros, 0)
@@ -205,7 +192,7 @@ def test_eight_zero_bytes_do_not_pass_for_a_driving_robot(variant: Variant, name
 
 @given(frame=frames)
 def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None:
-    """Whatever comes is counted; a sample comes out only of a valid feedback frame; the raw frame is kept."""
+    """Every frame is counted; only a valid feedback frame makes a sample."""
     made = core("coarse")
     sample = made.receive_frame(frame, 0)
     health = health_after(made)
@@ -288,10 +275,7 @@ def test_a_silent_frame_leaves_the_state() -> None:
 def test_speed_is_signed_by_the_wheels_then_by_the_gear(
     gear: str, wheels_mps: float, speed_mps: float | None
 ) -> None:
-    """The drive feedback is a magnitude; in neutral the wheels alone tell the direction, or nobody does.
-
-    1 m/s at 24 degrees left with a wheelbase of 0.660 m turns at 0.6746 rad/s, left positive.
-    """
+    """1 m/s at 24 degrees left with a wheelbase of 0.660 m turns at 0.6746 rad/s, left positive."""
     made, feedback = core("coarse"), Feedback(COARSE)
     give(made, feedback, gear=gear, speed_mps=1.0, angle_deg=24.0)
     wheels = {"RearLeftSpeed": wheels_mps, "RearRightSpeed": wheels_mps}
@@ -303,7 +287,6 @@ def test_speed_is_signed_by_the_wheels_then_by_the_gear(
 
 
 def test_health_counts_a_second_of_a_whole_bus() -> None:
-    """630 frames, each at its nominal rate, none lost, no fault."""
     made, feedback = core("coarse"), Feedback(COARSE)
     for at_ns, frame in feedback.second():
         made.receive_frame(frame, at_ns)
@@ -315,7 +298,6 @@ def test_health_counts_a_second_of_a_whole_bus() -> None:
 
 
 def test_error_frames_tell_the_state_of_the_controller_until_the_bus_is_lost() -> None:
-    """What is dropped before it is read is told as well."""
     made = core()
     states = []
     for number, kinds in enumerate((0x00, 0x40, 0x08, 0x100)):
@@ -347,25 +329,28 @@ def test_a_listening_gateway_has_no_command_flow() -> None:
     assert (made.command, made.lease_holder, made.is_at_rest) == (None, "", True)
 
 
-@pytest.mark.parametrize(
-    ("guard_sends", "is_spoilt", "is_other"), [(False, False, True), (True, False, False), (False, True, False)]
-)
-def test_whose_command_frames_are_another_computers(*, guard_sends: bool, is_spoilt: bool, is_other: bool) -> None:
-    """Valid ones, while the guard does not send: its frames are ours."""
-    made = core()
-    made.update_links(Links(bus_up=True, guard_sends=guard_sends), 0)
-    frame = Encoder(load(COARSE)).encode("Auto_DriveCmd", {}, 0)
-    made.receive_frame(spoilt(frame) if is_spoilt else frame, 7)
-    made.tick(10 * MS, WALL_NS, 0, CHALLENGE)
-    assert made.command is not None
-    assert made.command.arbiter.monitor.chassis.commander_ns == (7 if is_other else None)
+@pytest.mark.parametrize("layout", load(COARSE).commands, ids=lambda one: one.name)
+def test_another_computer_is_noticed_by_its_motion_commands(layout: MessageLayout) -> None:
+    """By valid ones, unless the guard sends; lamps, feedback and standard frames do not count."""
+    frame = Encoder(load(COARSE)).encode(layout.name, {}, 0)
+    others = (spoilt(frame), Frame(frame.can_id & ~EXTENDED, frame.data), *Feedback(COARSE).all())
+    is_motion = layout.name in MOTION_FRAMES
+    for guard_sends, received, is_other in (
+        (False, [frame], is_motion),
+        (True, [frame], False),
+        (False, others, False),
+    ):
+        made = core()
+        made.update_links(Links(bus_up=True, guard_sends=guard_sends), 0)
+        for one in received:
+            made.receive_frame(one, 7)
+        made.tick(10 * MS, WALL_NS, 0, CHALLENGE)
+        assert made.command is not None
+        assert made.command.arbiter.monitor.chassis.commander_ns == (7 if is_other else None)
 
 
 def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
-    """Every frame that the bus took, in its order and with the time at which it did; none that it did not take.
-
-    A decision says how many: what was asked for is one thing, what went out is another.
-    """
+    """Frames in order with the time at which the bus accepted them; a decision has their number."""
     rig = GatewayRig()
     operator, out, published = Operator(rig), list[tuple[int, bytes, int]](), list[tuple[int, bytes, int]]()
 
@@ -393,17 +378,3 @@ def test_what_was_sent_is_published_and_what_was_not_is_not() -> None:
     assert len(published) > 200
     assert published == out[: len(published)]
     assert len(out) - len(published) <= 25, "the rest is in the batch to come"
-
-
-def test_an_end_brings_the_robot_to_rest_first() -> None:
-    """It stops, it holds, it disables, and then it is at rest; it cannot be engaged again."""
-    rig, operator = ready()
-    operator.engage()
-    assert not rig.core.is_at_rest
-    rig.core.shut_down(rig.now_ns)
-    rig.until(lambda: rig.core.is_at_rest, REST_TIMEOUT_NS / 1e9)
-    assert not rig.told
-    assert rig.chassis.state.mode is Mode.STOP
-    operator.take_lease()
-    assert operator.reason("engage") is Reason.SHUTDOWN
-    assert rig.core.is_at_rest

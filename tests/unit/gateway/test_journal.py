@@ -63,7 +63,7 @@ def journals(batches: list[int], run: int = 7) -> list[Journal]:
 
 
 def inputs_at(core: Core, at_ms: int) -> list[Input]:
-    """The inputs that the core publishes at a tick that makes a batch due, but for that tick itself."""
+    """The inputs that the core publishes at a tick that makes a batch due, without that tick."""
     samples = core.tick(at_ms * MS, WALL_NS, 0, CHALLENGE).samples
     (sample,) = (sample for sample in samples if sample.subject == "journal")
     journal = codec.decode(BY_NAME["journal"], sample.payload)
@@ -72,10 +72,7 @@ def inputs_at(core: Core, at_ms: int) -> list[Input]:
 
 
 def test_inputs_come_back_in_their_order() -> None:
-    """Whatever batches they were published in, also where the end is cut off.
-
-    Each says its place, so that a gap can be seen. They are plain MessagePack: any language reads them.
-    """
+    """From any batches, also without the end. Each has its place, in plain MessagePack."""
     batches = journals([1, 300, 2, 70])
     assert [(one.run, one.sequence, one.first, one.count) for one in batches[:2]] == [(7, 0, 0, 1), (7, 1, 1, 300)]
     assert msgspec.msgpack.decode(batches[0].inputs) == [[5, 0]]
@@ -89,7 +86,6 @@ DAMAGED = {"empty": b"", "no opcode": b"\x91\xc1", "no UTF-8": b"\x91\x91\xa1\xf
 
 @pytest.mark.parametrize("inputs", DAMAGED.values(), ids=DAMAGED)
 def test_a_damaged_journal_is_refused(inputs: bytes) -> None:
-    """No MessagePack, a text that is not UTF-8, or one list within the other without end."""
     (journal,) = journals([2])
     with pytest.raises(BrokenJournalError, match="inputs 0 on cannot be read"):
         list(follow([msgspec.structs.replace(journal, inputs=inputs)], 0))
@@ -109,7 +105,6 @@ def test_a_damaged_journal_is_refused(inputs: bytes) -> None:
     ],
 )
 def test_a_journal_with_a_gap_is_refused(left: list[Journal], why: str) -> None:
-    """Nothing that looks like a run comes out of it."""
     with pytest.raises(JournalGapError, match=why):
         list(follow(left, 0))
 
@@ -164,7 +159,7 @@ FOLLOWED = 4000
 
 @cache
 def lived(seed: int, variant: Variant = Variant.COARSE, ticks: int = DAY_TICKS) -> Day:
-    """A day with a checkpoint each second, in the midst of whatever happens."""
+    """A day with a checkpoint each second."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(core_module, "CHECKPOINT_PERIOD_NS", 1_000_000_000)
         day = Day(seed, variant, ticks)
@@ -173,17 +168,15 @@ def lived(seed: int, variant: Variant = Variant.COARSE, ticks: int = DAY_TICKS) 
 
 
 def inputs_of_day(day: Day) -> list[Input]:
-    """All that the core was given."""
     return list(follow(day.rig.journals, 0))
 
 
 def state_of(core: Core) -> bytes:
-    """A checkpoint, as it is in the journal."""
     return msgspec.msgpack.encode(checkpoint(core))
 
 
 def effects(returned: TickEffects | list[Sample]) -> object:
-    """What comes of an input, but for the journal, which begins anew."""
+    """The effects of an input, without the journal, which begins again."""
     if isinstance(returned, TickEffects):
         said = [sample for sample in returned.samples if sample.subject != "journal"]
         return returned.frames, returned.replies, said, returned.events
@@ -198,7 +191,7 @@ def effects(returned: TickEffects | list[Sample]) -> object:
     ],
 )
 def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant, places: int) -> None:
-    """From any tick on: every frame with its counter, every reply, every sample with its sequence."""
+    """From any tick on, every frame with its counter, every reply, and every sample with its sequence."""
     day = lived(seed, variant)
     inputs = inputs_of_day(day)
     ticks = [place for place, one in enumerate(inputs) if one[0] == Kind.TICK]
@@ -228,7 +221,7 @@ def test_whatever_happens_it_goes_on_as_before(seed: int, variant: Variant, plac
 
 
 def test_taking_one_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two of one moment are equal. None says where a class stands, and a renamed attribute keeps its name."""
+    """Two of one moment are equal. They hold no module names, and renamed attributes keep their names."""
     day = lived(1)
     core = day.rig.core
     one = state_of(core)
@@ -250,7 +243,7 @@ def test_taking_one_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_checkpoint_is_taken_once_a_period() -> None:
-    """Also while somebody drives; once a minute by default, whose journal is hundreds of times larger."""
+    """Also during a drive; once a minute by default."""
     quiet = Day(5, Variant.COARSE, ticks=0)
     quiet.rig.run(130)
     often, seldom = (
@@ -262,7 +255,6 @@ def test_a_checkpoint_is_taken_once_a_period() -> None:
 
 
 def damaged() -> Iterator[bytes]:
-    """Checkpoints that no core of this version has taken."""
     tree = checkpoint(lived(1, ticks=300).rig.core)
     text = json.dumps(tree, default=lambda raw: {"bytes": raw.hex()})
     for before, after in (
@@ -297,7 +289,6 @@ def test_one_that_does_not_fit_is_refused() -> None:
 
 @given(st.binary(max_size=200), st.integers(0, 30_000))
 def test_no_bytes_do_anything_else(junk: bytes, place: int) -> None:
-    """It is resumed, or refused by its one error."""
     state = bytearray(msgspec.msgpack.encode(checkpoint(lived(1, ticks=300).rig.core)))
     state[place % len(state) : place % len(state) + len(junk)] = junk
     try:
@@ -307,7 +298,7 @@ def test_no_bytes_do_anything_else(junk: bytes, place: int) -> None:
 
 
 def test_a_run_whose_checkpoints_do_not_fit_begins_at_its_next_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of another version are passed over; and all where the settings are others."""
+    """Those of another version are skipped, and all if the settings differ."""
     day = lived(1)
     middle = day.rig.journals[len(day.rig.journals) // 2 :]
     assert run_of(middle) is not None
@@ -320,7 +311,7 @@ def test_a_run_whose_checkpoints_do_not_fit_begins_at_its_next_rest(monkeypatch:
 
 
 def left_out(value: Any, kinds: set[type]) -> None:  # noqa: ANN401 - of any kind
-    """Gather the classes of all that a checkpoint leaves out."""
+    """Collect the classes that a checkpoint leaves out."""
     seen: set[int] = set()
     waiting = [*vars(value).values()]
     while waiting:
@@ -344,7 +335,7 @@ MADE_WITH = {Chassis, CommandSettings, Encoder, JournalWriter, MessageDecoder, M
 
 
 def test_nothing_is_left_out_but_what_a_core_is_made_with() -> None:
-    """Whoever gives the core a state of another class sees here that the class has no alias."""
+    """A new class in the core's state needs an alias."""
     day = lived(1)
     inputs = inputs_of_day(day)
     core = Core(CHASSIS, day.rig.settings, "", inputs[0][1], day.rig.journals[0].run)

@@ -39,7 +39,7 @@ def again(journals: list[Journal]) -> list[Sample]:
 
 
 def short(act: Callable[[Day], object] = lambda _day: None, seconds: float = 2) -> Day:
-    """Two seconds in which nobody drives."""
+    """A stretch without a driver."""
     day = Day(3, Variant.COARSE)
     act(day)
     day.rig.run(seconds)
@@ -47,44 +47,31 @@ def short(act: Callable[[Day], object] = lambda _day: None, seconds: float = 2) 
 
 
 def test_a_gap_is_noticed() -> None:
-    """What comes before it has come out, and nothing that looks like a run comes after."""
     journals = short().rig.journals
     del journals[20]
     with pytest.raises(JournalGapError, match="are missing"):
         list(rerun(Settings(command=COMMAND), journals))
 
 
-BEGUN: dict[str, tuple[Callable[[Day], object], EventKind, Reason, str]] = {
-    "latched by the guard": (
-        lambda day: day.rig.core.latch_guard_stop("yesterday guard: it is gone", day.rig.now_ns),
-        EventKind.LATCH,
-        Reason.GUARD,
-        "; yesterday guard: it is gone",
-    ),
-    "with a warning": (
-        lambda day: day.rig.core.warn("somebody has our name", day.rig.now_ns),
-        EventKind.FAULT,
-        Reason.NONE,
-        "somebody has our name",
-    ),
-}
+def test_what_a_run_began_with_is_run_again_so() -> None:
+    """Events that neither the bus nor a request explains are in the journal as well."""
 
+    def begin(day: Day) -> None:
+        day.rig.core.latch_guard_stop("yesterday guard: it is gone", day.rig.now_ns)
+        day.rig.core.warn("somebody has our name", day.rig.now_ns)
 
-@pytest.mark.parametrize(("act", "kind", "reason", "text"), BEGUN.values(), ids=BEGUN)
-def test_what_a_run_began_with_is_run_again_so(
-    act: Callable[[Day], object], kind: EventKind, reason: Reason, text: str
-) -> None:
-    """An event that nothing in the bus or the requests explains is in the journal as well."""
-    day = short(act)
+    day = short(begin)
     said = [sample for _, sample in day.rig.recorded if sample.subject == "safety/event"]
     assert [sample for sample in again(day.rig.journals) if sample.subject == "safety/event"] == said
-    (event,) = (codec.decode(BY_NAME["safety/event"], sample.payload) for sample in said)
-    assert isinstance(event, SafetyEvent)
-    assert (event.kind, event.reason, event.text.endswith(text)) == (kind, reason, True)
+    events = [msgspec.msgpack.decode(sample.payload, type=SafetyEvent) for sample in said]
+    assert [(one.kind, one.text.rpartition("; ")[2]) for one in events] == [
+        (EventKind.LATCH, "yesterday guard: it is gone"),
+        (EventKind.FAULT, "somebody has our name"),
+    ]
 
 
 def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> None:
-    """It does not say whether there was real-time priority, which lowered no limit then."""
+    """Real-time priority is missing in it, and lowered no limit then."""
     core = Core(CHASSIS, Settings(), "", 0)
     give(core, (Kind.LINKS, 5, True, 1, True, False, 2, False))
     give(core, (Kind.TICK, 10, 11, 0))
@@ -92,18 +79,6 @@ def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> 
     seen = core.command.arbiter.monitor.chassis
     links = (seen.bus_losses, seen.guarded, seen.guard_stops, seen.guard_says, seen.realtime)
     assert links == (1, True, 2, "", True)
-
-
-def test_another_run_number_gives_other_leases() -> None:
-    """The comparison can fail: the run number is part of the log for a reason."""
-    day = short(seconds=1)
-    Operator(day.rig).take_lease()
-    day.rig.run(1)
-    said = [sample for _, sample in day.rig.recorded if sample.subject == "safety/decision"]
-    for run, is_same in ((day.rig.journals[0].run, True), (1, False)):
-        journals = [msgspec.structs.replace(journal, run=run) for journal in day.rig.journals]
-        found = [sample for sample in again(journals) if sample.subject == "safety/decision"]
-        assert (found == said) is is_same
 
 
 def test_a_run_may_come_bit_by_bit() -> None:
@@ -116,7 +91,6 @@ def test_a_run_may_come_bit_by_bit() -> None:
 
 
 def made_up(first: int, *inputs: object) -> Journal:
-    """A journal that no gateway said."""
     encoded = msgspec.msgpack.encode(inputs)
     return Journal(0, 0, run=7, first=first, count=len(inputs), inputs=encoded, rules=COMMAND_RULES)
 
@@ -141,7 +115,6 @@ def test_inputs_that_come_in_no_time_fill_no_memory(
 
 
 def test_what_no_core_was_given_is_a_broken_journal() -> None:
-    """Whatever a core makes of it: no error that nobody expects comes of a log."""
     with pytest.raises(BrokenJournalError, match="not the inputs of a core"):
         list(rerun(Settings(), [made_up(0, (Kind.TICK, -1, 5, 0, b""))]))
 
@@ -151,12 +124,11 @@ def test_what_no_core_was_given_is_a_broken_journal() -> None:
 
 @pytest.fixture(scope="module")
 def day() -> RestfulDay:
-    """Such a day, with a place of rest wherever there is one."""
     return restful_day(1, rounds=3)
 
 
 def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> None:
-    """Decisions, events and states byte for byte, with their sequences, and every frame with its counter."""
+    """Decisions, events and states byte for byte, and every frame with its counter."""
     journals = day.rig.journals
     bursts = [frames for frames in day.rig.offered if frames]
     said = [sample for _, sample in day.rig.recorded if sample.subject in SAFETY]
@@ -178,7 +150,7 @@ def test_from_any_place_of_rest_on_all_comes_out_the_same(day: RestfulDay) -> No
 
 
 def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
-    """There are some after each drive, and none while anybody asks anything."""
+    """After each drive, and never soon after a request."""
     inputs = [one for journal in day.rig.journals for one in inputs_of(journal)]
     asked_ns = 0
     places = 0
@@ -192,7 +164,7 @@ def test_the_places_are_told_from_seconds_of_quiet_on(day: RestfulDay) -> None:
 
 
 def test_without_such_a_place_there_is_nothing_to_run(day: RestfulDay) -> None:
-    """Nor with one that comes before enough was seen."""
+    """Nor if it comes before enough feedback was seen."""
     journals = day.rig.journals
     resting = [any(one[0] == Kind.REST for one in inputs_of(journal)) for journal in journals]
     first = resting.index(True)
@@ -243,12 +215,10 @@ def said(recorded: Recorded, **command: object) -> tuple[Side, Side]:
 
 
 def stops(side: Side) -> list[Reason]:
-    """Why the robot was stopped."""
     return [event.reason for event in side[SafetyEvent] if event.kind is EventKind.STOP]
 
 
 def test_with_the_same_settings_both_runs_are_the_same() -> None:
-    """Every sample, whatever happens in between; nothing comes of nothing."""
     day = Day(1, Variant.FINE, ticks=1500)
     day.live()
     both = list(what_if(day.rig.settings, day.rig.settings, day.rig.journals))
@@ -259,10 +229,7 @@ def test_with_the_same_settings_both_runs_are_the_same() -> None:
 
 
 def test_what_people_did_stays() -> None:
-    """A bumper that was hit is hit. While the remote control has the robot, the recorded speed is the speed.
-
-    Once both stand with nobody in command, the two see the same.
-    """
+    """Bumper hits and drives by remote control stay as recorded; in the end both robots see the same."""
 
     def hit(rig: GatewayRig, _operator: Operator) -> None:
         rig.fault("bumper front on for 500ms")
@@ -293,7 +260,6 @@ NESTED = b"\x91" * 1000 + b"\x01"
     "payload", [NESTED, *map(by_night, [b"\x81\x91\x01\x01", b"\xc1", b"\x81\xa9challenge\x91\x01"])]
 )
 def test_whatever_somebody_asked_is_asked_of_both(payload: bytes) -> None:
-    """A request is anybody's bytes, nested as deep as it may be."""
 
     def ask(rig: GatewayRig, _operator: Operator) -> None:
         rig.put("stranger", "drive", payload)

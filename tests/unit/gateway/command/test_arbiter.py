@@ -364,7 +364,7 @@ def test_what_standing_leads_to(row: str) -> None:
 
 
 def test_what_the_bus_did_not_take_was_no_step() -> None:
-    """The next burst is a step from what the chassis was told last."""
+    """The next burst is a step from the last accepted command."""
     rig = begun("driving 1 60")
     output = rig.arbiter.output
     before = output.actuation
@@ -393,7 +393,6 @@ class Told:
         return self.reporter.state(self.bench.now_ns, WALL_NS, self.bench.challenge())
 
     def now(self) -> SafetyState:
-        """The state, due or not."""
         self.reporter.state_due_ns = 0
         state = self.state()
         assert state is not None
@@ -401,7 +400,7 @@ class Told:
 
 
 def test_the_state_goes_out_at_20_hz_and_on_change_and_at_50_hz_while_engaged() -> None:
-    """And its challenge counts as published from then on, and only then."""
+    """Its challenge counts as published from then on."""
     told, due = Told(), []
     bench, challenges = told.bench, told.bench.arbiter.link.challenges
     for _ in range(20):
@@ -568,7 +567,7 @@ def test_an_event_keeps_what_it_is_made_of() -> None:
     ],
 )
 def test_a_reply_has_its_verbs_own_fields(verb: str, ruling: Ruling, expected: Reply) -> None:
-    """The lease and how long it lasts, for those that give one; a refusal has words and a cure for each reason."""
+    """The lease and its duration; a refusal has words and a cure for each reason."""
     made = reply(VerbAnswer(1, verb, ruling))
     assert (type(made), made) == (type(expected), expected)
     for reason in set(Reason) - {Reason.NONE}:

@@ -1,7 +1,4 @@
-"""Every fault that chassis, bus, link or operator may have, against the whole command flow.
-
-Rows are scenes: see ``tests.support.rigs.scenes``.
-"""
+"""Every fault of chassis, bus, link or operator, against the whole command flow: scenes of ``rigs.scenes``."""
 
 from collections.abc import Iterator
 from itertools import combinations, product
@@ -69,11 +66,7 @@ def test_the_checksum_refuses_eight_of_nine_pairs_of_bits(variant: Variant) -> N
 def test_two_flipped_bits_never_move_the_robot_more_than_its_command(
     name: str, variant: Variant, columns: tuple[int, ...]
 ) -> None:
-    """Each of the 224 pairs that pass, once while it drives: no faster than commanded, and no other way.
-
-    A frame that reads as a takeover ends the output at once; then the robot is stopped as soon as the next one
-    reads auto, because it still obeys what it was told.
-    """
+    """Each of the 224 undetected pairs, once during a drive: no faster than commanded, and no other way."""
     rig, operator = driving(0.6, variant=variant)
     for pair in silent_pairs():
         if pair[0] % 8 not in columns:
@@ -99,7 +92,6 @@ def test_two_flipped_bits_never_move_the_robot_more_than_its_command(
 
 @pytest.mark.parametrize("name", STANDING)
 def test_two_flipped_bits_never_clear_a_latch(name: str) -> None:
-    """Nor do they make a latched robot be told anything."""
     rig, operator = ready()
     operator.take_lease()
     rig.put("anyone", "stop", b"")
@@ -571,10 +563,7 @@ def test_a_stall_that_delivers_everything_at_once_moves_the_robot_by_nothing(
     stall_s: float,
     down_too: bool,  # noqa: FBT001 - a parameter
 ) -> None:
-    """Row 'command age, by echo: over 1 s: refused'. The stream of the whole stall comes in one tick.
-
-    ``down_too``: the operator sees no new challenge meanwhile; otherwise only the way up is stalled.
-    """
+    """Row 'command age, by echo': the whole stream comes in one tick; ``down_too``: without new challenges."""
     scene = Scene("driving 1")
     rig, operator = scene.rig, scene.operator
     stalled: list[bytes] = []
@@ -596,7 +585,7 @@ def test_a_stall_that_delivers_everything_at_once_moves_the_robot_by_nothing(
 
 @pytest.mark.parametrize("stall_s", [0.5, 2.0, 8.0])
 def test_a_stalled_stream_is_refused_although_the_robot_is_engaged_again(stall_s: float) -> None:
-    """Row 'command age, by echo': here only the age speaks against it."""
+    """Row 'command age, by echo': only the age forbids it."""
     scene = Scene("driving 1")
     rig, operator = scene.rig, scene.operator
     stalled = []

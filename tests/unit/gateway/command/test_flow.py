@@ -47,7 +47,7 @@ def test_a_tick_makes_replies_and_messages() -> None:
 
 
 def test_send_failures_are_counted_in_a_row() -> None:
-    """One whole burst in between begins anew; lamps that were not taken count too, but are no step."""
+    """A whole burst resets the count; lamps that were not accepted count too, but are no step."""
     rig, operator = driving(0.5)
     assert rig.core.command is not None
     arbiter = rig.core.command.arbiter
@@ -132,7 +132,7 @@ STOP_MAX_M = 0.30
 
 
 def on_slopes(*factors: Sequence[Any]) -> list[Any]:
-    """Each slope with every combination of these values; by day a selection."""
+    """Each slope with every combination of these values; by day a selection of them."""
     return [*every_pair(SLOPES, *factors), *(by_night(*row) for row in product(MORE_SLOPES, *factors))]
 
 
@@ -151,10 +151,7 @@ def test_a_robot_that_is_let_go_on_a_slope_does_not_roll_back(
 
 @pytest.mark.parametrize(("slope_deg", "kg", "does", "delay_s"), on_slopes(PAYLOADS, DOES, (0.05, 0.5)))
 def test_a_stop_on_a_slope_ends_parked(slope_deg: float, kg: float, does: str, delay_s: float) -> None:
-    """Whatever the cause: it does not roll back, and stands under its parking brake in the end.
-
-    A brake that applies at once hides what holds the robot until it does.
-    """
+    """Whatever the cause: it does not roll back, with a fast and a slow parking brake."""
     play(
         f"hill {slope_deg} payload_kg:{kg} parking_delay_s:{delay_s}; drive 0.5 0 2.5; mark; {does}; wait 8; = "
         f"back {STOP_MAX_M}, rests, parked, standby, held"
@@ -355,7 +352,7 @@ def test_a_robot_that_creeps_behind_its_brake_is_found_by_a_few_pulses(
 
 
 def test_a_robot_that_was_told_to_creep_does_not_creep_when_it_stops() -> None:
-    """Nor one that comes to rest: its last pulses are of the way that was commanded."""
+    """Nor one that comes to rest: its last pulses belong to the commanded way."""
     for mps in (0.005, 0.02, 0.04):
         play(f"hill 0; drive {mps} 0 8; drive 0 0 6; drive {-mps} 0 6; = engaged, latched")
 

@@ -1,4 +1,4 @@
-"""Whatever anybody does, and whatever the chassis, the bus and the loop do: the rig's witness holds each tick."""
+"""The rig's witness holds in each tick, whatever operators, chassis, bus and loop do."""
 
 import msgspec
 from hypothesis import HealthCheck, settings
@@ -54,7 +54,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule(who=operators, speed_mps=speeds)
     def engage_as_one_should(self, who: int, speed_mps: float) -> None:
-        """And drive, so that what comes next comes while the robot moves."""
+        """And drive, so that the next event comes in motion."""
         operator = self.people[who]
         if self.rig.says.state is ArbiterState.STOPPING:
             self.rig.run(3)
@@ -70,7 +70,7 @@ class Machine(RuleBasedStateMachine):
         operator.drive(speed_mps, 5.0, 0.6)
 
     def _go_on(self, ticks: int, *, driving: bool) -> None:
-        """Time passes, and whoever drives goes on driving or falls silent."""
+        """Time passes; the driver goes on or falls silent."""
         if driving and self.driver is not None:
             self.driver.drive(1.5, -10.0, ticks / 100)
         else:
@@ -78,7 +78,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule(who=operators, speed_mps=speeds, angle_deg=angles, seconds=st.floats(0.02, 1.2))
     def drive(self, who: int, speed_mps: float, angle_deg: float, seconds: float) -> None:
-        """Mostly by the one who may."""
+        """Mostly by the driver."""
         operator = self.driver if who == 0 and self.driver is not None else self.people[who]
         operator.drive(speed_mps, angle_deg, seconds)
 
@@ -187,7 +187,7 @@ class Machine(RuleBasedStateMachine):
 
     @invariant()
     def the_robot_is_no_faster_than_it_was_told(self) -> None:
-        """But for the lag of its drive, and what the remote control does."""
+        """Apart from the lag of its drive, and the remote control."""
         if self.rig.chassis.state.mode is Mode.REMOTE or any("scale" in text for text in self.rig.faults[-40:]):
             return
         scale = 0.04 if self.rig.chassis.state.variant is Variant.COARSE else 0.001

@@ -29,7 +29,6 @@ SETTINGS = CommandSettings()
 
 
 def leases(seed: int = 1) -> Leases:
-    """Leases that last 2 s."""
     return Leases(2 * S, Random(seed))  # noqa: S311 - as in the arbiter: it keeps no secret
 
 
@@ -76,7 +75,7 @@ def test_a_higher_or_equal_role_takes_it(holder: Role, taker: Role) -> None:
 
 
 def test_sixteen_ended_leases_are_remembered() -> None:
-    """Who lost one is told how; what is older is just not in force."""
+    """Their former holders learn the cause; older ones are unknown."""
     made = leases()
     numbers = []
     for _ in range(17):
@@ -88,7 +87,7 @@ def test_sixteen_ended_leases_are_remembered() -> None:
 
 @given(run=st.integers(0, 2**64), other=st.integers(0, 2**64))
 def test_numbers_of_one_run_do_not_fit_another(run: int, other: int) -> None:
-    """And each is one that every language holds exactly."""
+    """And every language can represent them exactly."""
     number = given_to(leases(run), "first").id
     assert 0 < number <= LEASE_MAX
     assert (number == given_to(leases(other), "first").id) is (run == other)

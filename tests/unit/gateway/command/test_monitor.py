@@ -19,22 +19,21 @@ from tests.support.rigs.steps import seen as but
 LIMIT_MPS = 2.222
 STANDING = msgspec.structs.replace(IN_STOP, mode=Mode.AUTO, gear=GearPosition.NEUTRAL)
 LAG_S = 0.4
-"""The lag of a slow chassis that still does what it is told."""
+"""Lag of a slow chassis that still follows its command."""
 
 
 def told(speed_mps: float = 0.0, angle_deg: float = 0.0, *, parking: bool = False) -> Actuation:
-    """A signed speed."""
     gear = GearPosition.REVERSE if speed_mps < 0 else GearPosition.DRIVE
     return Actuation(True, gear, abs(speed_mps), angle_deg, parking=parking)  # noqa: FBT003
 
 
 def seeing(words: str = "") -> ChassisState:
-    """A standing chassis, but for this."""
+    """A standing chassis with these changes."""
     return but(STANDING, tuple(words.split()))
 
 
 def monitoring(*seen: str) -> ChassisMonitor:
-    """A monitor that has seen these, a tick each, the last of them at zero."""
+    """A monitor that has seen these, one a tick, the last at time zero."""
     monitor = ChassisMonitor(CHASSIS)
     for number, words in enumerate(seen, 1 - len(seen)):
         monitor.update(seeing(words), number * 10 * MS)
@@ -42,7 +41,7 @@ def monitoring(*seen: str) -> ChassisMonitor:
 
 
 def found(monitor: ChassisMonitor, at_ms: int = 0) -> list[Reason]:
-    """The causes to stop a robot that is told to stand."""
+    """The causes to stop a robot that is commanded to stand."""
     return monitor.faults(told(), LIMIT_MPS, 0, at_ms * MS, is_engaged=True)
 
 
@@ -143,7 +142,7 @@ def test_a_reset_hit_is_a_new_one_once_the_bumper_was_clear_for_300_ms(
 
 
 def test_a_reset_acknowledges_only_what_was_latched() -> None:
-    """A bumper that is hit in the tick of the reset is not among it."""
+    """Not a bumper that is hit in the tick of the reset."""
     monitor = monitoring(BOTH)
     monitor.acknowledge([F, Reason.REMOTE_STOP])
     assert monitor.hits == [R]
@@ -159,7 +158,6 @@ def test_another_commander_is_heard_for_a_tenth_of_a_second(age_ms: int | None, 
 
 @pytest.mark.parametrize(("failures", "stops"), [(4, []), (5, [Reason.SEND_FAILED])])
 def test_frames_that_the_bus_does_not_take_stop(failures: int, stops: list[Reason]) -> None:
-    """Five ticks in a row."""
     monitor = monitoring("")
     monitor.send_failures = failures
     assert found(monitor) == stops
@@ -201,7 +199,7 @@ def test_found_moving_for_a_fifth_of_a_second(moves: str) -> None:
 
 
 def seen(wheel_mps: float | None = 0.0, drive_mps: float | None = None, words: str = "") -> ChassisState:
-    """A chassis whose drive feedback fits its wheels, but for what is given."""
+    """A chassis whose drive feedback matches its wheels, unless given."""
     fastest_mps = None if wheel_mps is None else abs(wheel_mps)
     chassis = ChassisState(
         speed_mps=fastest_mps if drive_mps is None else drive_mps,
@@ -213,7 +211,7 @@ def seen(wheel_mps: float | None = 0.0, drive_mps: float | None = None, words: s
 
 
 class Watched:
-    """A robot that is told and seen something, tick by tick."""
+    """A robot with commands and feedback, tick by tick."""
 
     def __init__(self, start_mps: float = 0.0, angle_deg: float = 0.0) -> None:
         self.made = Plausibility(CHASSIS)
@@ -223,7 +221,7 @@ class Watched:
     def run(
         self, chassis: ChassisState, actuation: Actuation = AT_REST, ms: int = 10, limit_mps: float = LIMIT_MPS
     ) -> list[Reason]:
-        """Ticks, the last of them so many milliseconds after the first; what is found in the last."""
+        """Ticks for so many milliseconds; the findings of the last."""
         reasons: list[Reason] = []
         for _ in range(0, ms, 10):
             reasons = self.made.check(chassis, actuation, limit_mps, self.now_ms * MS)
@@ -233,7 +231,7 @@ class Watched:
     def found_after_ms(
         self, reason: Reason, chassis: ChassisState, actuation: Actuation = AT_REST, limit_mps: float = LIMIT_MPS
     ) -> int | None:
-        """When this is found, counted from the first tick; None if it is not within 10 s."""
+        """When this is found, from the first tick on; None if not within 10 s."""
         begun_ms = self.now_ms
         for _ in range(1_000):
             if reason in self.run(chassis, actuation, limit_mps=limit_mps):
@@ -243,7 +241,7 @@ class Watched:
     def follow(
         self, way: Callable[[float], Actuation], seconds: float, limit_mps: float = LIMIT_MPS
     ) -> set[Reason]:
-        """A chassis that follows what it is told with the lag; all that is found on the way."""
+        """A chassis that follows its command with the lag; all findings on the way."""
         reasons: set[Reason] = set()
         actual_mps = way(0.0).signed_speed_mps
         for tick in range(round(seconds * 100)):
@@ -347,7 +345,7 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found(
     actuation: Actuation,
     is_found: bool,  # noqa: FBT001 - a case
 ) -> None:
-    """It counts whole metres: after three of them its frame is frozen, whatever its counter does."""
+    """It counts whole metres: unchanged for three of them its frame is frozen, whatever its counter does."""
     watched = Watched(1.0)
     after_ms = [watched.found_after_ms(FROZEN, chassis, actuation) for _ in range(1 if is_found else 8)]
     assert after_ms == ([pytest.approx(3_000, abs=20)] if is_found else [None] * 8)
@@ -355,7 +353,6 @@ def test_a_mileage_that_stands_still_while_the_robot_drives_is_found(
 
 
 def test_a_mileage_that_counts_or_is_cleared_is_not_frozen() -> None:
-    """Metre by metre, and from zero again."""
     watched = Watched(1.0)
     for metre in (*range(1500, 1503), *range(6)):
         chassis = seen(1.0, words=f"total_mileage_km:{metre / 1000}")
@@ -410,10 +407,7 @@ def test_what_fits_in_between_begins_anew() -> None:
 def test_a_slow_chassis_that_follows_its_ramp_does_not_roll(
     sign: int, deceleration_mps2: float, start_mps: float
 ) -> None:
-    """Row 'rolling: beyond the ramp': with a lag of 0.4 s, from any speed; nothing else is found either.
-
-    Nor is it over a limit that was lowered, while it still slows down to it.
-    """
+    """Row 'rolling: beyond the ramp': with a lag of 0.4 s, from any speed, also down to a lowered limit."""
     for least_mps, limit_mps in ((0.0, LIMIT_MPS), (0.1, 0.1)):
         watched = Watched(sign * start_mps)
 
@@ -425,7 +419,6 @@ def test_a_slow_chassis_that_follows_its_ramp_does_not_roll(
 
 @pytest.mark.parametrize("speed_mps", [1.5, -1.5])
 def test_a_robot_that_does_not_follow_its_ramp_rolls(speed_mps: float) -> None:
-    """Found moving it has its speed, and lags behind from there; told to stand, it does not slow down."""
     watched = Watched(speed_mps)
     assert watched.run(seen(speed_mps), ms=100) == []
     assert watched.found_after_ms(ROLLING, seen(speed_mps)) in range(10, 250)
@@ -461,7 +454,7 @@ def test_noise_is_no_speed_that_a_robot_gathers() -> None:
 
 
 class Counted(Watched):
-    """A robot of which nothing is seen but its wheel pulses, each 50 ms, so many in a metre of each wheel."""
+    """A robot that shows only its wheel pulses, every 50 ms."""
 
     def __init__(self, pulses_per_m: float) -> None:
         super().__init__()
@@ -471,7 +464,7 @@ class Counted(Watched):
         self.actual_mps = self._travelled_m = 0.0
 
     def drive(self, actuation: Actuation, seconds: float, *, obeys: bool = True) -> list[int]:
-        """Follow what it is told with the lag, or go on as before. Returns when it is found to roll, in ms."""
+        """Follow the command with the lag, or go on as before. Returns when it is found to roll, in ms."""
         found_ms: list[int] = []
         begun_ms = self.now_ms
         for _ in range(round(seconds * 100)):
@@ -497,10 +490,7 @@ class Counted(Watched):
 @pytest.mark.parametrize("pulses_per_m", [800, 2000])
 @pytest.mark.parametrize("speed_mps", [0.02, 0.04, 0.1, 0.2])
 def test_a_short_slow_drive_of_a_slow_chassis_does_not_roll(speed_mps: float, pulses_per_m: float) -> None:
-    """Row 'rolling: beyond the ramp': as many pulses on the way down as on the way up are no steady motion.
-
-    Nor are those of a robot that was told to creep, slower than what counts as standing.
-    """
+    """Row 'rolling: beyond the ramp': neither the pulses of a ramp nor those of creeping are steady motion."""
     for tenths in range(3, 21):
         watched = Counted(pulses_per_m)
         assert watched.drive(told(speed_mps), tenths / 10) == []

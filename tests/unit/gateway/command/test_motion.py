@@ -34,11 +34,7 @@ LATERAL_MPS = sqrt(1.5 * 0.66 / tan(radians(24)))
 
 
 class Robot(Acted):
-    """A motion with a chassis that follows at once, but for what is set.
-
-    Attributes:
-        bounds: those of all the ticks of the last step.
-    """
+    """A motion with a chassis that follows at once unless set; ``bounds`` are those of the last step."""
 
     def __init__(self, begin: str = "new", limits: MotionLimits = LIMITS) -> None:
         self.motion, self.limits, self.told = MotionProfile(), limits, AT_REST
@@ -235,7 +231,7 @@ def test_limits_use_the_greater_of_commanded_and_measured(row: str) -> None:
 
 
 def test_steering_waits_for_the_speed() -> None:
-    """Turned at speed: never beyond the lateral limit on the way, and there in the end."""
+    """Never beyond the lateral limit on the way, and there in the end."""
     robot = Robot("going 2.2")
     for _ in range(200):
         robot.tick("2.2", "1", "24")
@@ -257,7 +253,6 @@ feedback = st.lists(
 def test_every_step_is_within_every_limit(
     targets: list[tuple[float, float, int]], feedback: list[tuple[bool | None, ParkingStatus | None]]
 ) -> None:
-    """Whatever is asked in whatever order, and whatever standstill and brake read."""
     robot = Robot()
     robot.tick("0")
     before = robot.told
@@ -285,7 +280,7 @@ def test_every_step_is_within_every_limit(
 
 @given(speed_mps=st.floats(-2.222, 2.222), share=st.floats(-0.999, 0.999))
 def test_what_is_within_the_limits_is_reached_unchanged(speed_mps: float, share: float) -> None:
-    """To the last bit, and nothing is told to have bound it. Both limits are the same rule, whatever the speed."""
+    """To the last bit, and unbound. Both limits are the same rule at any speed."""
     limit_deg = LIMITS.angle_at(speed_mps, L_M)
     assert 0 < limit_deg <= 24
     assert abs(speed_mps) <= LIMITS.speed_at(limit_deg, L_M) * (1 + 1e-9)
@@ -318,7 +313,6 @@ def test_the_start_values_are_those_of_the_table(settings: CommandSettings, limi
     ("asked_mps", "limit_mps"), [(None, 2.222), (3.0, 2.222), (2.222, 2.222), (1.0, 1.0), (0.0, 0.0), (-1.0, 0.0)]
 )
 def test_limits_scale_down_never_up(asked_mps: float | None, limit_mps: float) -> None:
-    """At run time."""
     assert LIMITS.lowered(asked_mps).speed_mps == limit_mps
 
 
@@ -335,7 +329,6 @@ def test_the_lateral_limit() -> None:
 
 
 def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any field
-    """A command with this bend."""
     return Drive(lease=1, seq=1, challenge=bytes(8), speed_mps=speed_mps, **asked)
 
 
@@ -372,6 +365,6 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 
 @given(speed_mps=numbers, bend=numbers, name=st.sampled_from(["angle_deg", "curvature_1pm", "yaw_rate_radps"]))
 def test_no_finite_numbers_raise(speed_mps: float, bend: float, name: str) -> None:
-    """An angle that is asked for as a bend is within a right angle."""
+    """An angle requested as a bend is within a right angle."""
     told = steering_angle_deg(drive(speed_mps, **{name: bend}), L_M)
     assert isinstance(told, str) or name == "angle_deg" or abs(told) <= 90

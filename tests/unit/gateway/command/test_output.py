@@ -42,34 +42,28 @@ See = Callable[[float, Actuation], StopFeedback]
 def doing(
     speed_mps: float, gear: GearPosition = DRIVE, *, parking: bool = False, angle_deg: float = 0.0
 ) -> Actuation:
-    """A command with all enables."""
     return Actuation(True, gear, speed_mps, angle_deg, parking=parking)  # noqa: FBT003
 
 
 def moving(speed_mps: float, *flags: str) -> StopFeedback:
-    """A robot that is seen to move."""
     wheels_mps = -speed_mps if "back" in flags else speed_mps
     return StopFeedback(moves=True, speed_mps=speed_mps, wheel_speed_mps=wheels_mps, is_braked="braked" in flags)
 
 
 def obedient(_at_s: float, told: Actuation) -> StopFeedback:
-    """A robot that follows at once, brake and all."""
+    """A robot that follows at once, with its brake."""
     if told.speed_mps == 0:
         return HELD if told.parking else STANDS
     return moving(told.speed_mps, *["back"] * (told.gear is REVERSE))
 
 
 def open_brake(at_s: float, told: Actuation) -> StopFeedback:
-    """One whose brake never reads applied."""
+    """A robot whose brake never reads applied."""
     return STANDS if told.speed_mps == 0 else obedient(at_s, told)
 
 
 class Stop(Acted):
-    """A stop, tick by tick.
-
-    Attributes:
-        told: the output of every tick so far, with its phase.
-    """
+    """A stop, tick by tick; ``told`` is the output of every tick with its phase."""
 
     def __init__(self, begin: str) -> None:
         speed, gear, *words = begin.split()
@@ -102,7 +96,7 @@ class Stop(Acted):
             self.run(lambda *_: HELD, "10")
 
     def lasted(self) -> list[str]:
-        """How long each phase took, in their order."""
+        """The durations of the phases, in order."""
         phases = [phase.value for phase, _ in self.told]
         return [f"{phase}:{10 * phases.count(phase)}" for phase in dict.fromkeys(phases)]
 
@@ -273,7 +267,7 @@ def test_what_holds_the_robot(row: str) -> None:
 
 
 def test_a_brake_that_slows_a_robot_beyond_what_can_be_read_does_not_slip() -> None:
-    """Its controller restarted on a hill, and its brake catches it at 5 m/s, which is no valid speed."""
+    """Its controller restarts on a hill, and its brake stops it from 5 m/s, which is no valid speed."""
     sequence = StopSequence(doing(0, parking=True), 2.0, 0, may_release=True, stood_by_motor=True)
     speed_mps = 5.0
     for now_ms in range(10, 3000, 10):
@@ -335,7 +329,7 @@ NOW_NS = 7_000_000_000
 
 
 def test_what_is_not_seen_yet_is_waited_for_from_when_the_bus_is_back() -> None:
-    """Right after leaving, and right after each return of the bus."""
+    """After the handover, and after each return of the bus."""
     handover = Handover()
     handover.begin(AUTO)
     unseen, lost = seen(AUTO, ("mode:undefined",)), seen(AUTO, ("bus_up:false",))
@@ -399,10 +393,7 @@ def test_the_lower_speed_is_told_and_the_higher_one_is_feared(
     ],
 )
 def test_what_stands_and_what_moves(words: str, *, is_slow: bool, moves: bool) -> None:
-    """Rows 'found at start: moving by drive, wheels or pulses' and 'standstill: under 0.05 m/s'.
-
-    The raw drive feedback counts where its scale is in doubt: else a fine scale's millimetres a second are rest.
-    """
+    """Rows 'found at start: moving' and 'standstill: under 0.05 m/s'; the raw drive feedback counts in doubt."""
     slow = ChassisState(speed_mps=0.0499, fastest_wheel_mps=0.0499, turns=False, confirmed=True)
     chassis = seen(slow, tuple(words.split()))
     assert (chassis.is_slow, chassis.moves) == (is_slow, moves)
@@ -418,7 +409,7 @@ def test_no_speed_is_told_that_the_angle_does_not_allow(seen_deg: float) -> None
 
 @pytest.mark.parametrize(("seen_deg", "told_deg"), [(None, 0.0), (-30.0, -10.0), (30.0, 10.0), (4.0, 4.0)])
 def test_the_angle_is_within_the_limit(seen_deg: float | None, told_deg: float) -> None:
-    """Straight on where it is not seen."""
+    """Straight ahead if unknown."""
     assert inferred_angle_deg(ChassisState(angle_deg=seen_deg), LIMITS) == told_deg
 
 
@@ -468,20 +459,19 @@ def odometer(*, on: bool) -> AuxiliaryFrame:
 
 
 def shining(*on: str) -> Auxiliary:
-    """These shine, and no other."""
     made = Auxiliary(CHASSIS)
     made.set_light(headlamp="head" in on, left="left" in on, right="right" in on, now_ns=0)
     return made
 
 
 def assert_off(made: Auxiliary, since_ns: int, *frames: AuxiliaryFrame) -> None:
-    """Frames say off for 100 ms, and then there is none."""
+    """Off frames for 100 ms, then none."""
     assert made.frames(since_ns + TAIL_NS - 1) == [*frames]
     assert made.frames(since_ns + TAIL_NS) == []
 
 
 def test_what_is_on_is_sent_until_it_is_ended() -> None:
-    """And nothing that is not asked for. A stop ends all of it: the chassis keeps the last command for ever."""
+    """A stop ends all of it: the chassis keeps the last command forever."""
     made = Auxiliary(CHASSIS)
     made.end(0)
     assert made.frames(0) == []
@@ -503,7 +493,7 @@ def test_what_is_on_is_sent_until_it_is_ended() -> None:
 
 
 def test_the_odometer_is_cleared_once_it_reads_zero() -> None:
-    """Not before the frames can have had an effect; told once. Else it has failed, in time."""
+    """Not before the frames can have had an effect, and once; otherwise it fails in time."""
     made = Auxiliary(CHASSIS)
     assert made.clearing_result(0.0, 0) is None
     made.clear_odometer(0)
@@ -532,7 +522,7 @@ def test_what_the_next_stop_or_engagement_puts_out(
     is_left: bool,  # noqa: FBT001 - a case
     frames: list[AuxiliaryFrame],
 ) -> None:
-    """Lamps that were put out are told so again, but not after a takeover; those that shine then are put out."""
+    """Lamps that were switched off are switched off again, but not after a takeover; lit ones always."""
     made = shining("right")
     if is_out:
         made.set_light(headlamp=False, left=False, right=False, now_ns=1)

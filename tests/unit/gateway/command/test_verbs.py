@@ -25,7 +25,7 @@ LATCHED = "ready lease_s:10; acquire; stop; tick 60"
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
 def test_a_verb_is_asked_for_in_its_own_way(command: Command) -> None:
-    """A query where it is one, a put where it is one; stop either way."""
+    """As a query or as a put; stop as either."""
     wrong = 0 if command.asking is Asking.QUERY else 1
     ruling = ArbiterRig().send(command.verb, b"\x80", handle=wrong)
     if command.verb == "stop":
@@ -54,7 +54,7 @@ def test_a_verb_is_asked_for_in_its_own_way(command: Command) -> None:
 def test_what_is_no_request_is_refused(
     verb: str, payload: bytes, size: int | None, reason: Reason, most: int
 ) -> None:
-    """With why, in few characters; a request of more than a kilobyte is not even read."""
+    """With a short reason; a request of more than a kilobyte is not read."""
     rig = ArbiterRig()
     ruling = rig.send(verb, payload, size=size)
     assert ruling.reason is reason
@@ -197,10 +197,7 @@ ENGAGE = {
 
 @rows(ENGAGE)
 def test_engage_wants_all_of_the_table(row: str) -> None:
-    """Row 'engage: lease held, every feedback seen and fresh, variant confirmed, mode not remote, no latch'.
-
-    And a command of zero in the last 300 ms, a link that is fast enough, and limits that are some.
-    """
+    """Row 'engage', with a command of zero, a link that is fast enough, and valid limits."""
     play(row)
 
 
@@ -368,7 +365,7 @@ def test_old_commands_drive_slowly() -> None:
     assert (min(steps_mps), max(steps_mps)) == pytest.approx((-0.012, 0.008))
 
 
-# Signed mode: what a grant says counts, and nothing that the sender says of himself.
+# Signed mode: the grant counts, not what the sender claims.
 
 QUERIES = [verb for verb, command in BY_VERB.items() if command.asking is Asking.QUERY]
 
@@ -389,7 +386,7 @@ def test_a_request_whose_proof_does_not_hold_is_refused_with_its_reason(verb: st
 
 
 def test_without_credentials_nothing_is_accepted() -> None:
-    """A door that forgot to judge is a closed one; a stop is served all the same, and says so."""
+    """Unjudged requests are refused; a stop is served, as unproven."""
     rig = begun("ready signed:true")
     rig.credentials = None
     rig.play("acquire; = refused proof_missing; stop; = ruled none; latch remote_stop by first (unproven)")
@@ -440,12 +437,10 @@ SIGNED = {
 
 @rows(SIGNED)
 def test_what_a_grant_says_counts(row: str) -> None:
-    """And nothing that the sender says of himself."""
     play(row)
 
 
 def test_the_events_of_a_lease_say_who_lost_it() -> None:
-    """The former holder, beside the cause."""
     rig = begun("driving 1 30")
     rig.ask("take", "second", override=True)
     lost = rig.events_of(EventKind.LEASE)[1]
