@@ -39,9 +39,9 @@ test-unit: $(STAMP)  ## run the tests that need no process and no socket
 	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests
 
 # These have the machine to themselves: a browser that drives at 50 Hz stalls beside other tests, and the robot stops by its
-# deadman, as it should; floods delay the others. The rest mostly wait, so three run for each processor
-# (tests/support/spreading.py distributes them).
-ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py test_floods.py)
+# deadman, as it should; the desk's questions about logs get only idle processor time; floods delay the others. The rest
+# mostly wait, so three run for each processor (tests/support/spreading.py distributes them).
+ALONE = $(addprefix tests/system/gateway/,test_desk.py test_desk_contact.py test_desk_logs.py) tests/system/test_floods.py
 # Headless Chromium takes two thirds of the processor time; `make nightly` uses the whole browser.
 test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
 test-system: $(STAMP)  ## run the tests that start gateways, recorders and browsers

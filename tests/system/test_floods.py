@@ -46,7 +46,7 @@ def test_no_message_makes_the_gateway_hold_megabytes(verb: str) -> None:
         huge, key = bytes(HUGE_BYTES), f"fleet/cruiser-1/@cmd/stranger/{verb}"
         for _ in range(2):
             session.put(key, huge, congestion_control=zenoh.CongestionControl.BLOCK)
-            assert [reply for reply in session.get(key, payload=huge, timeout=5) if reply.ok is not None] == []
+            assert [reply for reply in session.get(key, payload=huge, timeout=2) if reply.ok is not None] == []
         wait_until(is_answered)
         assert peak_bytes(running.process.pid) - before < GROWS_BYTES
         close_session(session)

@@ -132,7 +132,7 @@ def test_in_signed_mode_who_answers_without_a_grant_for_the_name_keeps_no_robot_
             address, site.endpoint, "--connect", endpoint, "--config", site.robot_settings, kind=Managed
         ) as running,
     ):
-        running.wait_says("what answers there does not prove that it was granted this name")
+        running.wait_says("its owner does not prove that it was granted this name")
         grant = Path(site.robot_settings).with_name("robot.grant")
         grant.write_bytes(grant.read_bytes())
         running.wait_says("the gateway restarts to load them")

@@ -291,13 +291,15 @@ def test_an_impostor_is_not_believed(site: Site) -> None:
     other.endpoint = site.endpoint
     with (
         running(other),
-        pytest.raises(Refused, match="not met: the robot's own grant is signed by the authority's key") as unmet,
+        pytest.raises(
+            Refused, match="not verified: the robot's own grant is signed by the authority's key"
+        ) as unmet,
     ):
         Robot.connect(ROBOT, settings=site.settings, timeout_s=3.0)
     assert unmet.value.reason is Reason.GRANT_UNKNOWN
     with running(site):
         settings = msgspec.structs.replace(other.settings, zenoh=site.settings.zenoh)
-        with pytest.raises(Refused, match="not met"):
+        with pytest.raises(Refused, match="not verified"):
             Robot.connect(ROBOT, settings=settings, timeout_s=3.0)
 
 
@@ -426,5 +428,5 @@ def test_a_robot_whose_files_are_wrong_publishes_and_does_not_arm(site: Site) ->
         process.wait_says("robot.key is not there")
         state = session.declare_subscriber(f"{ROOT}/{ROBOT}/state", zenoh.handlers.RingChannel(1))
         wait_until(lambda: state.try_recv() is not None)
-        with pytest.raises(Refused, match="not met"):
+        with pytest.raises(Refused, match="not verified"):
             Robot.connect(ROBOT, settings=site.settings, timeout_s=2.0)
