@@ -127,7 +127,12 @@ def find(
     addresses = [one for one in arguments.logs if not isinstance(one, Path)]
     if addresses and getattr(arguments, "ray", None):
         raise CommandError("--ray cannot read logs of an object store: copy them to a path that all machines see")
-    stored = stored_logs(addresses, settings, faults, stopped) if addresses else []
+    stored: list[LogFile] = []
+    if addresses:
+        with needing_extra():
+            from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
+        bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)
+        stored = find_stored(addresses, settings.upload, faults, bar)
     logs = find_logs(paths, faults, with_covered=with_covered, stored=stored)
     start_ns = min((log.start_ns for log in logs if log.end_ns), default=0)
     end_ns = max(log.end_ns for log in logs)
@@ -145,15 +150,6 @@ def find(
         period = f"{in_words(start_ns)} to {in_words(end_ns)}"
         raise CommandError(f"the logs hold nothing of that time: they cover {period}", ExitCode.USAGE)
     return Asked(logs, faults, start_ns, end_ns, from_ns, to_ns)
-
-
-def stored_logs(
-    addresses: Sequence[StoreAddress], settings: Settings, faults: Faults, stopped: Callable[[], bool]
-) -> list[LogFile]:
-    with needing_extra():
-        from recorder.cli.stored import find_stored  # noqa: PLC0415 - it needs an extra
-    bar = partial(progress_bar, "fetching", stopped=stopped, is_bounded=False)
-    return find_stored(addresses, settings.upload, faults, bar)
 
 
 @contextmanager

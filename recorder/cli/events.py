@@ -66,16 +66,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         first = list(islice(entries, 1))
         if not first and not survey(asked.logs, Faults()).robots:
             raise no_robot(asked.faults)
-        for line in show(_until(chain(first, entries), stopped), asked):
+        for line in show(chain(first, entries), asked):
             sys.stdout.write(f"{line}\n")
     return end_with(asked.faults)
-
-
-def _until(entries: Iterable[Entry], stopped: Callable[[], bool]) -> Iterator[Entry]:
-    for entry in entries:
-        if stopped():
-            return
-        yield entry
 
 
 def record_of(entry: Entry, start_ns: int) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.asking import Asked, add_logs, add_period, end_with, find, progress_bar
+from recorder.cli.asking import add_logs, add_period, end_with, find, progress_bar
 from recorder.cli.show import show
 from recorder.cli.why import chain_in_words
 from recorder.reading.logs import Faults, LogFile
-from recorder.reading.rows import Progress, Selection
+from recorder.reading.rows import Progress
 from recorder.reading.survey import survey
 from recorder.review.report.findings import Report, Why, summary_lines, verdict
 from recorder.review.report.gather import read_report
@@ -56,10 +56,14 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if out is not None and out.suffix != ".html":
         raise CommandError(f"{plain(str(out))} does not end with .html", ExitCode.USAGE)
     asked = find(arguments, settings, stopped)
+    selection = asked.selection
+    if arguments.robot is not None:
+        # Its own messages, and those of recorders, which name no robot.
+        selection = msgspec.structs.replace(selection, wants=lambda topic: topic.robot in {arguments.robot, ""})
     with progress_bar("report", asked.bytes, stopped) as progress:
         report = read_report(
             asked.logs,
-            _selection(asked, arguments.robot),
+            selection,
             asked.faults,
             progress,
             version=version("cruiser-gateway"),
@@ -76,13 +80,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         _write(out, page(report, whys, shlex.join(map(str, arguments.logs))).encode())
     show(summary(report), describe(report, out), as_json=arguments.json)
     return end_with(asked.faults)
-
-
-def _selection(asked: Asked, robot: str | None) -> Selection:
-    """The selection of the question; for one robot its messages and those of recorders."""
-    if robot is None:
-        return asked.selection
-    return msgspec.structs.replace(asked.selection, wants=lambda topic: topic.robot in {robot, ""})
 
 
 def summary(report: Report) -> dict[str, Any]:

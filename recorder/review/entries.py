@@ -62,13 +62,10 @@ class RobotClock:
         self._states = 0
         self._is_settled = False
 
-    def is_other_run(self, tick: int) -> bool:
-        return self._tick is not None and not is_same_run(tick, self._tick)
-
     def hear(self, tick: int, publish_ns: int, log_ns: int) -> str:
         """Add a state of the arbiter. Returns a sentence about a change of the clock, or an empty text."""
         self.corrected_ns = 0
-        if self._tick is not None and tick <= self._tick and not self.is_other_run(tick):
+        if self._tick is not None and tick <= self._tick and is_same_run(tick, self._tick):
             return ""
         said = ""
         before_ns = self.offset_ns

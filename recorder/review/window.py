@@ -18,12 +18,12 @@ from gateway.chassis.layout import MessageLayout
 from gateway.choice import frame_layouts
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, read_rows
+from recorder.reading.survey import settings_from
 from recorder.reading.topics import UNREADABLE
 from recorder.review.entries import NEAR_NS
 from schemas import keys
 from schemas.can_word import ERROR, EXTENDED, IDENTIFIER_MASK, REMOTE
 from schemas.command_line import CommandError
-from schemas.configuration import TomlSource, merge
 from schemas.decisions import (
     COMMANDING,
     ArbiterState,
@@ -212,8 +212,7 @@ def limits_at(at_ns: int, robot: str, configurations: Sequence[tuple[int, str]],
     texts = [text for time_ns, text in configurations if time_ns <= at_ns][-1:]
     for text in texts + [text for _, text in configurations][:1]:
         try:
-            settings = merge(TomlSource("configuration.toml", text, is_recorded=True), {}, {})
-            return Limits(settings.command, "from its configuration")
+            return Limits(settings_from(text).command, "from its configuration")
         except CommandError as error:
             faults.add(f"{robot}: its configuration cannot be read: {error}")
     return Limits()

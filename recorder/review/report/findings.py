@@ -435,11 +435,12 @@ def stops_by(stops: Mapping[str, int]) -> str:
 
 
 def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
-    summary = robot.summary
+    summary, worst = robot.summary, robot.summary.worst
+    start_ns, end_ns = summary.start_ns, summary.end_ns
     return [
-        ("When", f"{_from_to(summary.start_ns, summary.end_ns)}"),
+        ("When", f"{in_words(start_ns)} to {in_words(end_ns)}: {duration((end_ns - start_ns) / 1e9)}"),
         ("Distance", _distance(summary)),
-        ("Worst moment", _worst(summary.worst)),
+        ("Worst moment", "none" if worst is None else f"{in_words(worst.time_ns)}: {moment_words(worst)}"),
         ("Gateway", joined(map(_outage, summary.outages)) or "no outage"),
         (
             "Driven by",
@@ -452,19 +453,11 @@ def summary_lines(robot: RobotReport, report: Report) -> list[Line]:
     ]
 
 
-def _from_to(start_ns: int, end_ns: int) -> str:
-    return f"{in_words(start_ns)} to {in_words(end_ns)}: {duration((end_ns - start_ns) / 1e9)}"
-
-
 def _distance(robot: RobotSummary) -> str:
     if not robot.known_s:
         return ABSENT
     top = f"{abs(robot.top_mps):.2f} m/s{' in reverse' if robot.top_mps < 0 else ''} at {in_words(robot.top_ns)}"
     return f"{distance(robot)}, moving {duration(robot.moving_s)} of {duration(robot.known_s)}; top speed {top}"
-
-
-def _worst(moment: Entry | None) -> str:
-    return "none" if moment is None else f"{in_words(moment.time_ns)}: {moment_words(moment)}"
 
 
 def _outage(outage: Outage) -> str:

@@ -33,7 +33,6 @@ from recorder.review.report.findings import (
     BANDS,
     LINES,
     Drawn,
-    Line,
     Place,
     Point,
     Report,
@@ -235,7 +234,10 @@ class _Page:
         others = [one for one in robot.moments if not self._is_drawn(summary, one.time_ns)]
         if others:
             yield from card("Events outside the drawn drives", self._events(robot, others))
-        yield from card("Details", definitions(summary_lines(robot, self._report)))
+        lines = (
+            f"<dt>{text(name)}</dt><dd>{text(said)}</dd>" for name, said in summary_lines(robot, self._report)
+        )
+        yield from card("Details", ("<dl>", *lines, "</dl>"))
         if summary.refusals:
             more = f", and {summary.other_refusals} of other kinds" if summary.other_refusals else ""
             yield from card(
@@ -430,13 +432,6 @@ def card(title: str, inner: Iterable[str], level: int = 3) -> Iterator[str]:
     yield f'<div class="card"><h{level}>{text(title)}</h{level}>'
     yield from inner
     yield "</div>"
-
-
-def definitions(lines: Sequence[Line]) -> Iterator[str]:
-    yield "<dl>"
-    for name, said in lines:
-        yield f"<dt>{text(name)}</dt><dd>{text(said)}</dd>"
-    yield "</dl>"
 
 
 def folded(title: str, table: Iterable[str], rows: Sequence[Row] | None = None) -> Iterator[str]:
