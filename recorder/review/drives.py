@@ -194,6 +194,7 @@ class Drives:
 
     Attributes:
         more: number of drives beyond ``DRIVES_MAX``.
+        now: the newest drive.
         stops: number of stops by cause; ``ends``, of requested ends by reason.
         entries: the first ones; the reason of a stop is its cause.
         worst: the worst entry; None if there is only information.
@@ -210,7 +211,7 @@ class Drives:
         self.more_outages = 0
         self.worst: Entry | None = None
         self._drives: list[RecordedDrive] = []
-        self._now: RecordedDrive | None = None
+        self.now: RecordedDrive | None = None
         self._gaps: dict[int, int] = {}  # the starts of the newest gaps in the states, by their ends
         self._cause = ""
         self._stop_at: int | None = None  # the newest stop's place among the entries, if it was kept
@@ -221,7 +222,7 @@ class Drives:
         step_m = self.motion.add(time_ns, speed_mps, angle_deg)
         if speed_mps is not None and abs(speed_mps) > STANDING_MPS:
             self.command(time_ns, log_ns)
-        now = self._now
+        now = self.now
         if now is not None and step_m is not None and now.start_ns <= time_ns <= now.end_ns + REST_NS:
             now.distance_m += step_m
             if before_ns is not None and now.start_ns <= before_ns and time_ns <= now.end_ns:
@@ -229,9 +230,9 @@ class Drives:
         return step_m
 
     def command(self, time_ns: int, log_ns: int) -> None:
-        now = self._now
+        now = self.now
         if now is None or not now.start_ns - REST_NS <= time_ns <= now.end_ns + REST_NS:
-            now = self._now = RecordedDrive(time_ns, time_ns, log_ns, log_ns)
+            now = self.now = RecordedDrive(time_ns, time_ns, log_ns, log_ns)
             if len(self._drives) < DRIVES_MAX:
                 self._drives.append(now)
             else:
@@ -266,10 +267,6 @@ class Drives:
             self.outages.append(outage)
         else:
             self.more_outages += 1
-
-    @property
-    def now(self) -> RecordedDrive | None:
-        return self._now
 
     @property
     def more_entries(self) -> int:
