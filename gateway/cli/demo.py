@@ -138,14 +138,6 @@ class Child:
         self._spoke.set()
 
 
-def address_of(chassis: Child) -> str:
-    """Return HOST:PORT of a virtual chassis on a free port."""
-    ready = re.search(r" on (127\.0\.0\.1:\d+)", chassis.wait_ready())
-    if ready is None:
-        raise CommandError("the virtual chassis did not report its address")
-    return ready[1]
-
-
 def fresh(directory: Path) -> Path:
     """Return the first of DIR, DIR-2, DIR-3 and so on that is empty or missing."""
     numbered = (directory.with_name(f"{directory.name}-{number}") for number in count(2))
@@ -259,7 +251,7 @@ class VirtualRobot:
 
     def begin(self) -> None:
         self._begun += 1
-        self.address = address_of(self.chassis)
+        self.address = self.chassis.wait_ready().rpartition(" on ")[2]
         words = [*self._words, "--interface", "socketcand", "--channel", self.address]
         self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
 

@@ -130,10 +130,17 @@ def _address(listen: str) -> tuple[str, int]:
 
 
 def _certificate(settings: DeskSettings, host: str) -> tuple[Path, Path] | None:
+    """Return the files of certificate and key; None if only this machine's browsers connect."""
     try:
-        return usable_certificate(settings.certificate, settings.key, host)
+        files = certificate_files(settings.certificate, settings.key, host, "browsers")
+        if files is not None:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(*files)
     except CommandError as error:
         raise CommandError(f"{error} (desk.certificate, desk.key)", error.code) from None
+    except (OSError, ValueError) as error:
+        what = f"{settings.certificate} and {settings.key} are not a certificate and its key"
+        raise CommandError(f"{what}: {error} (desk.certificate, desk.key)", ExitCode.USAGE) from None
+    return files
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
@@ -143,16 +150,3 @@ def listening_socket(host: str, port: int) -> socket.socket:
     except OSError as error:
         text = f"cannot listen on {shown_address(host, port)}: {error.strerror or error}"
         raise CommandError(text, ExitCode.UNREACHABLE) from error
-
-
-def usable_certificate(chain: Path | str | None, key: Path | str | None, host: str) -> tuple[Path, Path] | None:
-    """Return the files of certificate and key; None if only this machine's browsers connect."""
-    files = certificate_files(chain, key, host, "browsers")
-    if files is None:
-        return None
-    try:
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(*files)
-    except (OSError, ValueError) as error:
-        text = f"{files[0]} and {files[1]} are not a certificate and its key: {error}"
-        raise CommandError(text, ExitCode.USAGE) from None
-    return files

@@ -17,6 +17,7 @@ from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
 import msgspec
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
@@ -43,10 +44,6 @@ class JobDone(msgspec.Struct, frozen=True):
     fault: str  # the end of its stderr, or the reason that there is no answer
 
 
-class JobsBusyError(Exception):
-    """Too many questions are waiting."""
-
-
 class Jobs:
     """Runs a few questions at a time; a bounded number of others wait."""
 
@@ -56,7 +53,7 @@ class Jobs:
 
     async def __aenter__(self) -> None:
         if self._waiting >= WAITING_MAX:
-            raise JobsBusyError
+            raise HTTPException(503, "too many questions are waiting: try again in a minute")
         self._waiting += 1
         try:
             await self._turns.acquire()
@@ -127,6 +124,7 @@ SANDBOX: Final = {
     "style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 }
 
+MISSING: Final = "no such log"
 UNREADABLE: Final = "the desk's user may not read {}: add it to the recorder's group"
 
 QUESTIONS_AT_ONCE: Final = 2  # processes that read logs at a time; at most one of them updates the catalog
@@ -240,40 +238,40 @@ class DeskLogs:
         return None
 
     async def download(self, request: Request) -> Response:
-        path = self.path(request.path_params["name"])
+        path = self._log(request)
         # The length of a growing log is not known.
-        if path is None or path.name.endswith(PART):
-            return missing()
-        if not is_readable(path):
-            return forbidden(path)
-        return _Download.open(path) or missing()
+        if path.name.endswith(PART) or (found := _Download.open(path)) is None:
+            raise HTTPException(404, MISSING)
+        return found
 
     async def report(self, request: Request) -> Response:
         """Return the report of a log, made on request."""
         path = self._asked(request)
-        if isinstance(path, Response):
-            return path
-        try:
-            async with self.jobs:
-                key = version(path)
-                report = self._made.get(key)
-                if report is None:
-                    report = self.scratch / f"{next(self._numbers)}.html"
-                    done = await ask_review(["report", str(path), "-o", str(report)])
-                    # A log that is damaged, or still grows, has a report that says so.
-                    if not _is_file(report):
-                        return PlainTextResponse(done.fault or "no report was made", 500)
-                    self._keep(key, report)
-        except JobsBusyError:
-            return busy()
+        async with self.jobs:
+            key = version(path)
+            report = self._made.get(key)
+            if report is None:
+                report = self.scratch / f"{next(self._numbers)}.html"
+                done = await ask_review(["report", str(path), "-o", str(report)])
+                # A log that is damaged, or still grows, has a report that says so.
+                if not _is_file(report):
+                    return PlainTextResponse(done.fault or "no report was made", 500)
+                self._keep(key, report)
         return FileResponse(report, media_type="text/html", headers=SANDBOX)
 
-    def _asked(self, request: Request) -> Path | Response:
-        """Return the log of a request, or the error response."""
+    def _asked(self, request: Request) -> Path:
+        """Return the log that a question is about."""
+        if is_foreign(request):
+            raise HTTPException(404, MISSING)
+        return self._log(request)
+
+    def _log(self, request: Request) -> Path:
         path = self.path(request.path_params["name"])
-        if path is None or is_foreign(request):
-            return missing()
-        return path if is_readable(path) else forbidden(path)
+        if path is None:
+            raise HTTPException(404, MISSING)
+        if not os.access(path, os.R_OK):
+            raise HTTPException(403, UNREADABLE.format(path.name))
+        return path
 
     def _keep(self, key: tuple[str, int, int], report: Path) -> None:
         self._made[key] = report
@@ -283,25 +281,14 @@ class DeskLogs:
     async def _find(self, request: Request) -> Response:
         """Answer in lines of JSON: first a header, then what ``cruiser review find`` prints."""
         if is_foreign(request):
-            return missing()
+            raise HTTPException(404, MISSING)
         asked = {name: request.query_params.get(name, "")[:TEXT_MAX] for name in ("search", *FLAGS)}
         if not asked["search"].isalpha():
             return PlainTextResponse("'search' must be one word", 400)
         flags = [f"--{name}={asked[name]}" for name in FLAGS if asked[name]]
-        words = [
-            "find",
-            asked["search"],
-            str(self.directory),
-            "--json",
-            f"--newest={ANSWERS}",
-            *flags,
-            *self._catalog,
-        ]
-        try:
-            async with self._finding, self.jobs:
-                done = await ask_review(words, FIND_S)
-        except JobsBusyError:
-            return busy()
+        words = ["find", asked["search"], str(self.directory), "--json", f"--newest={ANSWERS}", *flags]
+        async with self._finding, self.jobs:
+            done = await ask_review([*words, *self._catalog], FIND_S)
         if done.code in {None, int(ExitCode.USAGE)}:
             return PlainTextResponse(_last_line(done.fault), 503 if done.code is None else 400)
         # Without a library that reads catalogs, logs and their reports are there all the same.
@@ -317,15 +304,10 @@ class DeskLogs:
 
     async def _why(self, request: Request) -> Response:
         path = self._asked(request)
-        if isinstance(path, Response):
-            return path
         asked = {name: request.query_params.get(name, "")[:TEXT_MAX] for name in ("at", "robot")}
         whose = [f"--robot={asked['robot']}"] if asked["robot"] else []
-        try:
-            async with self.jobs:
-                done = await ask_review(["why", str(path), f"--at={asked['at']}", *whose, "--json"])
-        except JobsBusyError:
-            return busy()
+        async with self.jobs:
+            done = await ask_review(["why", str(path), f"--at={asked['at']}", *whose, "--json"])
         if not done.output:
             return PlainTextResponse(_last_line(done.fault) or "no answer", 500)
         return Response(done.output, media_type="application/json")
@@ -402,22 +384,6 @@ def is_foreign(request: Request) -> bool:
     """Return True for a request that another site's page makes in the background; a followed link is none."""
     fetch = request.headers.get
     return fetch("sec-fetch-site", "") in {"cross-site", "same-site"} and fetch("sec-fetch-dest", "") != "document"
-
-
-def is_readable(path: Path) -> bool:
-    return os.access(path, os.R_OK)
-
-
-def forbidden(path: Path) -> Response:
-    return PlainTextResponse(UNREADABLE.format(path.name), 403)
-
-
-def missing() -> Response:
-    return PlainTextResponse("no such log", 404)
-
-
-def busy() -> Response:
-    return PlainTextResponse("too many questions are waiting: try again in a minute", 503)
 
 
 def _is_file(path: Path) -> bool:

@@ -92,7 +92,7 @@ class Door:
     def __init__(self, app: ASGIApp, listening: socket.socket) -> None:
         self._app = app
         self._listening = listening
-        self._peers: Peers[_Connection] = Peers(most_connections(resource.getrlimit(resource.RLIMIT_NOFILE)[0]))
+        self.peers: Peers[_Connection] = Peers(most_connections(resource.getrlimit(resource.RLIMIT_NOFILE)[0]))
         self._sockets: Counter[str] = Counter()
         self._arriving: set[asyncio.Task[None]] = set()
         self.line = _Line()
@@ -149,21 +149,12 @@ class Door:
             self._sockets[peer] -= 1
             connection.rests()
 
-    def leave(self, connection: _Connection) -> None:
-        self._peers.leave(connection)
-
-    def asks(self, connection: _Connection) -> None:
-        self._peers.asks(connection)
-
-    def rests(self, connection: _Connection) -> None:
-        self._peers.rests(connection)
-
     def _accept(self) -> None:
         loop = asyncio.get_running_loop()
         pause_s = ACCEPTS_PAUSE_S
         try:
             for _ in range(ACCEPTS):
-                pause_s = max(pause_s, self._peers.pause_s(loop.time()))
+                pause_s = max(pause_s, self.peers.pause_s(loop.time()))
                 if pause_s > ACCEPTS_PAUSE_S:
                     break
                 taken, (host, *_) = self._listening.accept()
@@ -182,7 +173,7 @@ class Door:
 
     def _take_in(self, taken: socket.socket, peer: str, loop: asyncio.AbstractEventLoop) -> None:
         connection = _Connection(self, peer, taken, loop)
-        gone = self._peers.enter(connection, peer, loop.time())
+        gone = self.peers.enter(connection, peer, loop.time())
         if gone is None:
             taken.close()
             return
@@ -267,17 +258,17 @@ class _Connection(asyncio.BufferedProtocol):
     def asks(self) -> None:
         """Note that a complete request has arrived."""
         self._drop_deadline()
-        self._door.asks(self)
+        self._door.peers.asks(self)
 
     def rests(self) -> None:
         """Note that no request is in progress; the next must be complete within ``REQUEST_S``."""
         self._drop_deadline()
         self._deadline = self._loop.call_later(REQUEST_S, self.cut)
-        self._door.rests(self)
+        self._door.peers.rests(self)
 
     def leave(self) -> None:
         self._drop_deadline()
-        self._door.leave(self)
+        self._door.peers.leave(self)
 
     def cut(self) -> None:
         if self._transport is not None:

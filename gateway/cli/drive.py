@@ -18,6 +18,7 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -286,13 +287,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
     parser.add_argument(
         "--speed",
-        type=_speed,
+        type=partial(_number, top=CHASSIS.top_speed_mps, unit="m/s"),
         metavar="M/S",
         help=f"speed, negative is backward (default {SPEED_MPS:g} with keys)",
     )
     parser.add_argument(
         "--angle",
-        type=_angle,
+        type=partial(_number, top=CHASSIS.top_angle_deg, unit="deg"),
         metavar="DEG",
         help=f"steering angle, positive is left (default {ANGLE_DEG:g} with keys, 0 otherwise)",
     )
@@ -449,14 +450,6 @@ def _deadman(text: str) -> float:
     if value > DEADMAN_MAX_S:
         raise argparse.ArgumentTypeError(f"{text} s is longer than the maximum timeout, {DEADMAN_MAX_S:g} s")
     return value
-
-
-def _speed(text: str) -> float:
-    return _number(text, CHASSIS.top_speed_mps, "m/s")
-
-
-def _angle(text: str) -> float:
-    return _number(text, CHASSIS.top_angle_deg, "deg")
 
 
 def _number(text: str, top: float, unit: str) -> float:

@@ -476,7 +476,7 @@ def list_view(reports: Sequence[RobotStatus]) -> list[Text]:
 def _list_line(report: RobotStatus) -> str:
     words = [report.robot]
     if report.state is None:
-        words.append(_offline(report))
+        words.append(f"OFFLINE: {alarm(report)}")
     else:
         words += [label_of(word_of(report)[0]), _number(report.state.speed_mps, "+z.2f", "m/s")]
         words += (
@@ -512,10 +512,6 @@ def detail_view(report: RobotStatus) -> list[Text]:
         facts.sort(key=lambda fact: not fact.is_bad)
     shown = [Text(f"  {_word(fact)}", style=BAD if fact.is_bad else PLAIN) for fact in facts]
     return [*list_view([report]), *shown]
-
-
-def _offline(report: RobotStatus) -> str:
-    return f"OFFLINE: {alarm(report)}"
 
 
 def _word(fact: Fact) -> str:

@@ -174,8 +174,10 @@ class DriveStream:
         elif self._was_holder and self._loss.add(now_ns):
             if state.lease_holder:
                 self.lose(Reason.LEASE_TAKEN, f"by {state.lease_holder}")
+            elif self._is_of_other_run(state):
+                self.lose(Reason.NO_LEASE)
             else:
-                self.lose(_loss_of(state) if not self._is_of_other_run(state) else Reason.NO_LEASE)
+                self.lose(state.stop_reason if state.stop_reason in GRANT_ENDS else Reason.LEASE_EXPIRED)
         if not self._is_wanted:
             return
         if state.state is ArbiterState.ENGAGED:
@@ -250,11 +252,6 @@ def _finite(name: str, value: object) -> float:
     if not isfinite(number):
         raise ValueError(f"{name} must be a finite number, and is {number}")
     return number
-
-
-def _loss_of(state: SafetyState) -> Reason:
-    """Return why the lease is lost, by the robot's last stop."""
-    return state.stop_reason if state.stop_reason in GRANT_ENDS else Reason.LEASE_EXPIRED
 
 
 log = logging.getLogger(__name__)

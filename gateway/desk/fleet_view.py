@@ -177,11 +177,9 @@ def _text_of(report: RobotStatus, word: str, reasons: list[Reason]) -> str:
         return "its CAN bus is down"
     if safety is None:
         return f"mode {state.mode.value}; it takes no commands"
-    return state_line(safety) if word == "stopping" or not reasons else _meanings(reasons, report.robot)
-
-
-def _meanings(reasons: list[Reason], robot: str) -> str:
-    return "; ".join(_text(one, robot)[0] for one in reasons)
+    if word == "stopping" or not reasons:
+        return state_line(safety)
+    return "; ".join(_text(one, report.robot)[0] for one in reasons)
 
 
 def _limit_mps(safety: SafetyState) -> float:
