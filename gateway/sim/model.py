@@ -120,14 +120,12 @@ class SimulatedState(msgspec.Struct, frozen=True):
 
     mode: Mode
     variant: Variant
-    gear_position: GearPosition
     speed_mps: float
     angle_deg: float
     x_m: float
     y_m: float
     yaw_rad: float
     mileage_m: float
-    braking_status: BrakingStatus
     parking_status: ParkingStatus
     ignored_frames: int
 
@@ -217,14 +215,12 @@ class VirtualChassis:
         return SimulatedState(
             mode=self._mode,
             variant=self._layout.variant,
-            gear_position=self._gear_position,
             speed_mps=motion.speed_mps,
             angle_deg=motion.angle_deg,
             x_m=motion.x_m,
             y_m=motion.y_m,
             yaw_rad=motion.yaw_rad,
             mileage_m=motion.mileage_m,
-            braking_status=self._braking_status,
             parking_status=self._parking_status,
             ignored_frames=self._ignored,
         )

@@ -387,7 +387,22 @@ WITHOUT_BUS: dict[str, tuple[Step, ...]] = {
 }
 
 
-@pytest.mark.parametrize("steps", [*SCENES.values(), *WITHOUT_BUS.values()], ids=[*SCENES, *WITHOUT_BUS])
+TAKEN_OVER: dict[str, tuple[Step, ...]] = {
+    f"taken over {when}, the robot gets zero speed, then silence; given back it is parked": (
+        (*steps, 1.0, MARK, "sticks 0.8 0", driven_s, seen(drives=True, frames=0, ended=False)),
+        (seen(says="remote control"), "sticks 0 0", 5.0, seen(rests=True), MARK, GIVEN_BACK, A_STOP_S),
+        seen(fastest_mps=0, mode=Mode.STOP, parked=True, ended=True, stops=1),
+    )
+    for when, steps, driven_s in (
+        ("before the gateway has seen it", (*FIRST, REMOTE, 0.1, KILL), 20.0),
+        ("before the gateway dies", (*LEFT, KILL), 20.0),
+        ("in the guard's stop", TAKEN_IN_A_STOP, 150.0),
+    )
+}
+SCENES |= WITHOUT_BUS | TAKEN_OVER
+
+
+@pytest.mark.parametrize("steps", SCENES.values(), ids=SCENES)
 def test_what_the_guard_does(steps: tuple[Step, ...]) -> None:
     rig = GuardRig()
     rig.play(*steps)
@@ -410,22 +425,6 @@ def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
     assert 0 < slowest_mps < 0.7
     rig.play(KILL, A_STOP_S)
     assert 0 < (told_mps(rig) or 0) <= slowest_mps + 0.01
-
-
-@pytest.mark.parametrize(
-    ("steps", "driven_s"),
-    [
-        ((*FIRST, REMOTE, 0.1, KILL), 20.0),
-        ((*LEFT, KILL), 20.0),
-        (TAKEN_IN_A_STOP, 150.0),
-    ],
-    ids=["before the gateway has seen it", "the gateway gave way and dies later", "in the guard's stop"],
-)
-def test_the_hand_transmitter_has_the_robot(steps: tuple[Step, ...], driven_s: float) -> None:
-    rig = GuardRig()
-    rig.play(*steps, 1.0, MARK, "sticks 0.8 0", driven_s, seen(drives=True, frames=0, ended=False))
-    rig.play(seen(says="remote control"), "sticks 0 0", 5.0, seen(rests=True), MARK, GIVEN_BACK, A_STOP_S)
-    rig.play(seen(fastest_mps=0, mode=Mode.STOP, parked=True, ended=True, stops=1))
 
 
 @pytest.mark.parametrize("moves", [True, False])
