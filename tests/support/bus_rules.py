@@ -112,7 +112,7 @@ def read(burst: Sequence[Frame], bit_umps: int | None) -> Told:
 
 
 def may_be_told(told: Told) -> bool:
-    """The burst is admissible by itself."""
+    """The burst is admissible on its own."""
     if abs(told.angle_udeg) > TOP_ANGLE_UDEG or told.has_pedal:
         return False
     is_at_rest = told.is_parked and told.speed_umps == 0

@@ -212,7 +212,7 @@ class Walk:
         if self._offer(frames, is_stop=is_stop):
             self._send(frames[: random.choice((1, 4, 5, 8, 8, 8, 8, 8))])
             return
-        # Whatever came before, a stop in place is admitted; only the rate can be in its way.
+        # A stop in place is always admitted, within the rate.
         twelfth_ns = max(times[0] if len(times) == 12 else -TICK_NS * 10 for times in self.bus.sent_ns.values())
         stop = self._frames(stop_in_place(self._raw))[:5]
         assert self._offer(stop, is_stop=True) or self._now_ns - twelfth_ns < 100 * MS

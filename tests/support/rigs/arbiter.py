@@ -134,7 +134,7 @@ class ArbiterRig(Acted):
         return self.outcome
 
     def state(self) -> object:
-        """What a refused request leaves unchanged."""
+        """The state that a refused request leaves unchanged."""
         arbiter = self.arbiter
         held = arbiter.leases.held
         return arbiter.state, arbiter.setpoint.target, dict(arbiter.latches.details), held and held.id
@@ -202,7 +202,7 @@ class ArbiterRig(Acted):
         self.drive_for(int(plain[1]) if plain[1:] else 1, **fields)
 
     def _late(self, late_ms: str, *, is_told: str = "") -> None:
-        """The loop stood still for so long, unless its burst went out in between."""
+        """The loop was paused for this long; with ``is_told`` its burst was sent."""
         self.now_ns += int(late_ms) * MS
         if is_told:
             self.arbiter.output.told_ns = self.now_ns
@@ -318,7 +318,7 @@ class ArbiterRig(Acted):
                 self.outcome is not None
                 and [frame.name for frame in self.outcome.auxiliary] == [f"Auto_{name}Cmd" for name in names]
             ),
-            # What is said.
+            # Messages.
             "ruled": lambda reason: ruling.reason.value == reason,
             "refused": lambda reason: ruling.reason.value == reason and self.state() == self.before,
             "pending": lambda: ruling.is_pending,

@@ -76,7 +76,7 @@ class Day:
         self.rig.run(1)
 
     def _drive(self) -> None:
-        """Get engaged, whatever it takes, then drive at random."""
+        """Engage, with an override if necessary, then drive at random."""
         operator = self._random.choice(self._operators[:1] * 3 + self._operators)
         if self.rig.core.lease_holder != operator.name:
             operator.take_lease("take", override=True)

@@ -96,7 +96,7 @@ class Scene(Acted):
         )
 
     def links(self, *changes: str) -> None:
-        """What the loop sees from now on of bus and guard."""
+        """The state of bus and guard from now on."""
         made: dict[str, Any] = {}
         for name, _, value in (one.partition(":") for one in changes):
             kind = type(getattr(GUARDED, name))
@@ -150,7 +150,7 @@ class Scene(Acted):
             self.operator.drive(float(speed_mps))
 
     def older(self, back: str) -> None:
-        """Drive for a second with challenges from so many samples before."""
+        """Drive for a second with old challenges."""
         for _ in range(50):
             echoed = self.rig.published[-int(back)]
             self.rig.put("first", "drive", self.operator.drive_payload(2.0, challenge=echoed))
@@ -204,7 +204,7 @@ class Scene(Acted):
         rig.run(1)
 
     def refuse(self, count: str) -> None:
-        """The gate refuses so many of the next bursts."""
+        """The gate refuses this many of the next bursts."""
         self.rig.gate_refuses = True
         gate = self.rig.core.command.gate  # type: ignore[union-attr]
         admit = type(gate).admit
@@ -302,7 +302,7 @@ class Scene(Acted):
         return self.rig.state, self.rig.speed_mps, self.rig.told, self.rig.events[-3:]
 
     def _way_back_m(self, sign: float) -> float:
-        """How far it has rolled behind the furthest place that it reached."""
+        """How far it has rolled back from its furthest place."""
         furthest_m, most_m = sign * self.from_m, 0.0
         for _, x_m, _, _ in self.rig.lived[self.tick :]:
             furthest_m = max(furthest_m, sign * x_m)
@@ -404,7 +404,7 @@ class Scene(Acted):
             "back": lambda most_m, sign="1": self._way_back_m(float(sign)) < float(most_m),
             "mode": lambda mode: rig.chassis.state.mode.value == mode,
             "lamps": lambda *which: lamps() == {*which},
-            # What it is told, now and since "mark".
+            # Its commands, now and since "mark".
             "told": lambda speed_mps: told and near(rig.told_mps, speed_mps, 0.04),
             "below": lambda speed_mps: told and rig.told_mps < float(speed_mps),
             "slower": lambda by_mps: near(self.was_mps - rig.told_mps, by_mps, 0.06),

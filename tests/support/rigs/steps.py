@@ -72,11 +72,11 @@ class Acted:
         raise NotImplementedError
 
     def claims(self) -> Doing:
-        """What is true now, by name."""
+        """Claims that hold now, by name."""
         raise NotImplementedError
 
     def shown(self) -> object:
-        """What explains a false claim."""
+        """The state that explains a false claim."""
         return vars(self)
 
     def other(self, step: str) -> None:

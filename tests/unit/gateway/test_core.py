@@ -43,7 +43,7 @@ def read(sample: Sample | None) -> Any:  # noqa: ANN401 - of any subject
 
 
 def ticks(made: Core, until_ms: int, from_ms: int = 0) -> dict[str, list[Any]]:
-    """What the ticks of this time publish, by subject."""
+    """The samples of the ticks of this time, by subject."""
     published: dict[str, list[Any]] = {}
     for at_ms in range(from_ms, until_ms + 1, 10):
         for sample in made.tick(at_ms * MS, WALL_NS + at_ms * MS, 0, CHALLENGE).samples:
@@ -216,7 +216,7 @@ def test_no_frame_raises_and_a_malformed_one_is_never_data(frame: Frame) -> None
 
 
 def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
-    """Every frame is in exactly one batch, whatever it is, with its time and flags; unless they are left out."""
+    """Every frame is in exactly one batch, with its time and flags; unless batches are switched off."""
     for is_on in (True, False):
         made = core("coarse", can=CanSettings(raw_frames=is_on))
         sent = [Frame(EXTENDED | number, bytes([number]), WALL_NS + number, 0, 0) for number in range(100)]
@@ -236,7 +236,7 @@ def test_raw_frames_come_in_batches_of_50_ms_in_their_order() -> None:
 
 
 def test_state_goes_out_20_times_a_second_and_health_once() -> None:
-    """The rates of the subject table. Nothing is said that was not seen, and every frame is named as silent."""
+    """The rates of the subject table. Without feedback values are unknown, and every frame is silent."""
     published = ticks(core(), 1990)
     assert [state.sequence for state in published["state"]] == list(range(40))
     assert len(published["gateway/health"]) == 1

@@ -1,4 +1,4 @@
-"""What the core was given, written down; and a core that goes on from a checkpoint as the one before it did."""
+"""The journal of the core's inputs, and a core that resumes from a checkpoint."""
 
 import gc
 import json
@@ -50,7 +50,7 @@ from tests.support.rigs.day import DAY_TICKS, Day
 
 
 def journals(batches: list[int], run: int = 7) -> list[Journal]:
-    """A run's journals, each with so many inputs; an input tells its place."""
+    """A run's journals with these numbers of inputs; each input has its place."""
     writer, place, taken = JournalWriter(run), 0, []
     for count in batches:
         for _ in range(count):

@@ -445,7 +445,7 @@ def test_the_number_of_a_lease_is_in_the_replies_to_its_holder_alone() -> None:
     forms = secret.to_bytes(7, "big"), str(secret).encode()
     assert not [one.subject for one in commanded.zenoh.samples if any(form in one.payload for form in forms)]
     assert {decision["lease"] for decision in commanded.zenoh.of("safety/decision")} == {public, 0}
-    # The inbox is told who holds the lease, so that the holder's requests go before others'.
+    # The inbox knows the holder, whose requests go first.
     assert commanded.inbox.holders[0] == ("", 0, -1)
     assert ("first", secret, -1) in commanded.inbox.holders
 

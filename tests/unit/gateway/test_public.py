@@ -1,4 +1,4 @@
-"""What the package offers: ``from gateway import Robot``."""
+"""The public names of the package: ``from gateway import Robot``."""
 
 import pytest
 

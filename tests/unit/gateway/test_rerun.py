@@ -1,7 +1,4 @@
-"""Runs given to a core again: from their first input, from a place of rest, and with other settings beside them.
-
-That whole days come out the same, from their logs, is said by the golden logs and the recorder's tests of rerun.
-"""
+"""Reruns from the first input, from a snapshot, and with other settings; golden logs cover whole logs."""
 
 from collections.abc import Callable
 from random import Random
@@ -32,7 +29,7 @@ SAFETY = ("safety/decision", "safety/event", "safety/state")
 
 
 def again(journals: list[Journal]) -> list[Sample]:
-    """What the core says, run again from its first input."""
+    """The samples of the core, run again from its first input."""
     inputs = list(follow(journals, 0))
     core = Core(CHASSIS, Settings(command=COMMAND), "", inputs[0][1], journals[0].run)
     return [sample for _, samples in run_again(core, inputs) for sample in samples]
@@ -82,7 +79,7 @@ def test_a_journal_of_before_has_six_links_and_the_speed_limit_of_its_time() -> 
 
 
 def test_a_run_may_come_bit_by_bit() -> None:
-    """The same comes out of journals that are read one after the other, and at last what is still in batches."""
+    """The samples are the same if journals are read lazily, followed by the incomplete batches."""
     journals = short(seconds=1).rig.journals
     samples, found = again(journals), list(rerun(Settings(command=COMMAND), iter(journals)))
     assert found[: len(samples)] == samples
@@ -203,7 +200,7 @@ Side = dict[type[Message], list[Any]]
 
 
 def said(recorded: Recorded, **command: object) -> tuple[Side, Side]:
-    """What the two runs say, by class: the recorded one, and the one with other settings."""
+    """The messages of the recorded run and of the one with other settings, by class."""
     settings, run = recorded
     changed = msgspec.structs.replace(settings.command, **command)
     sides: tuple[Side, Side] = ({}, {})

@@ -42,7 +42,6 @@ EXAMPLES = json.loads((SUPPORT / "manual_examples.json").read_text(encoding="utf
 
 @cache
 def reference(variant: Variant) -> Database:
-    """What cantools makes of a variant's DBC."""
     database = cantools.database.load_string(dbc_text(variant), database_format="dbc")
     assert isinstance(database, Database)
     return database
@@ -161,7 +160,6 @@ GOOD = bytes.fromhex("0104000000000005")
     ],
 )
 def test_a_fault_has_its_kind(frame: Frame, kind: FaultKind) -> None:
-    """Each way to be malformed is told by its own kind."""
     fault = DECODERS[Variant.COARSE].decode(frame)
     assert isinstance(fault, FrameFault)
     assert fault.kind is kind
@@ -273,7 +271,7 @@ def test_a_value_that_does_not_fit_is_our_own_bug(name: str, values: dict[str, A
 
 @given(st.lists(st.tuples(st.floats(-24, 24), st.booleans(), st.integers(0, 15)), min_size=2, max_size=10))
 def test_what_was_encoded_before_changes_nothing(rows: list[tuple[float, bool, int]]) -> None:
-    """Each frame is the one that a new encoder makes, though the values be changed in place afterwards."""
+    """Each frame equals that of a new encoder, even if the values are changed in place."""
     encoder = Encoder(load(Variant.COARSE))
     values: dict[str, Any] = {}
     for angle_deg, enable, alive in rows:

@@ -70,7 +70,7 @@ def test_the_pose_is_that_of_the_bicycle_model(
 
 def sd(pose: DeadReckoning) -> tuple[float, float]:
     """Return standard deviations of the place, in metres, and of the heading, in degrees."""
-    pose.last_ns = (pose.last_ns or 0) + 1  # So that it is told again.
+    pose.last_ns = (pose.last_ns or 0) + 1  # So that it is reported again.
     said = pose.report()
     assert said is not None
     return (said.x_variance_m2 + said.y_variance_m2) ** 0.5, degrees(said.heading_variance_rad2**0.5)
@@ -134,7 +134,7 @@ def test_a_gap_moves_nothing_and_is_unsure(missing: str, seconds: float) -> None
 def test_pulses_that_count_another_way_make_it_unsure(
     *, parts: list[Part], pulses: Callable[[float], float], is_doubted: bool
 ) -> None:
-    """The pose stays that of drive and steering: which of the two is wrong nobody knows."""
+    """The pose remains that of drive and steering."""
     alone, checked = after(*parts), after(*parts, pulses=pulses)
     assert (checked.x_m, checked.y_m, checked.heading_rad) == (alone.x_m, alone.y_m, alone.heading_rad)
     assert (sd(checked) > sd(alone)) is is_doubted

@@ -41,7 +41,7 @@ def test_faults_are_counted_to_their_limit_and_paid_back_one_by_one() -> None:
 
 @pytest.mark.parametrize(("kind", "faults"), [("checksum", 5), ("implausible", 3)])
 def test_corrupt_frames_and_impossible_ones_are_failures_of_their_own(kind: str, faults: int) -> None:
-    """So many within a second, and each is named by its own name."""
+    """After this many within a second."""
     supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(0, 0)
     window = {"checksum": supervisor.checksums, "implausible": supervisor.implausible}[kind]
@@ -56,7 +56,7 @@ def test_corrupt_frames_and_impossible_ones_are_failures_of_their_own(kind: str,
 
 @pytest.mark.parametrize(("period_ms", "silence_ms"), [(10, 100), (20, 200), (50, 500), (1, 100)])
 def test_silence_is_ten_periods_and_at_least_100_ms(period_ms: int, silence_ms: int) -> None:
-    """So a 10 ms frame is silent before sixteen of them could be lost unseen."""
+    """A 10 ms frame is silent before sixteen of them could be lost unseen."""
     assert silence_ns(period_ms * MS) == silence_ms * MS
     supervisor = FrameSupervisor(period_ms * MS)
     supervisor.receive(0, 0)
@@ -67,7 +67,7 @@ def test_silence_is_ten_periods_and_at_least_100_ms(period_ms: int, silence_ms: 
 
 
 def test_a_frame_is_silent_until_the_first_one_comes() -> None:
-    """Missing from the start is silence too, but no fault of its own: nothing was there to be lost."""
+    """But this is no fault: nothing was lost."""
     supervisor = FrameSupervisor(10 * MS)
     assert supervisor.is_silent
     assert supervisor.tick(10_000 * MS) is None
@@ -77,7 +77,7 @@ def test_a_frame_is_silent_until_the_first_one_comes() -> None:
 
 
 def test_frames_lost_in_a_silence_are_counted_by_counter_and_period() -> None:
-    """Of a second without a 10 ms frame the counter tells 5 at once, the period its six rounds, later."""
+    """After a second without a 10 ms frame the counter shows 5 at once; its six rounds follow by the period."""
     supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(3, 0)
     supervisor.tick(500 * MS)
@@ -136,7 +136,7 @@ def test_the_mean_period_is_judged(factor: float, burst: int, fault: FaultKind |
 
 
 def test_a_frame_that_repeats_its_counter_becomes_overdue() -> None:
-    """A stuck sender shows the same old value for ever; that is silence, whatever the rate of its frames."""
+    """A stuck sender repeats an old value; that is silence at any frame rate."""
     supervisor = FrameSupervisor(10 * MS)
     supervisor.receive(3, 0)
     for at_ms in range(10, 101, 10):

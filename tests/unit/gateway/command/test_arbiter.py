@@ -97,7 +97,7 @@ CAUSES = {
         "phase hold; tick 200; = standby"
         for stop in ("", "; disengage")
     },
-    # A speed is judged as its frames say it: asked 0.11 m/s, a coarse chassis is told 0.08, and may read one bit.
+    # The speed in the frames counts: for 0.11 m/s a coarse chassis is commanded 0.08, and may read one bit.
     **{
         f"asked {asked_mps} m/s, one bit seen": f"driving {asked_mps} 60; see all:0.04 pulses:1; drive "
         f"{asked_mps} 60; = {is_found}for feedback_frozen"
@@ -110,7 +110,7 @@ CAUSES = {
 
 @rows(CAUSES)
 def test_each_cause_stops_the_robot(row: str) -> None:
-    """In the tick in which it is seen, by its own deceleration, with an event of its own severity."""
+    """In the tick of its detection, by its deceleration, with an event of its severity."""
     play(row)
 
 
@@ -182,7 +182,7 @@ YIELDS = {
             (("", "mode_not_auto"), ("; disengage", "disengaged")),
         )
     },
-    # The guard stopped it for 6 s, and stands by now; one that reads auto all the same is stopped from there.
+    # The guard stopped it for 6 s, and is done; a robot that still reads auto is stopped.
     **{
         f"back after the guard has ended, {seen}": "driving 1; = told 1; see guard_stops:1 mode:stop "
         f"brake:applied all:0 {seen}; mark; late 6000; = latched guard, events guard guard, {says}; tick 300; = "
@@ -191,7 +191,7 @@ YIELDS = {
     },
     "a burst went out after the pause": "driving 1; see guard_stops:1 mode:auto speed_mps:0.04 "
     "fastest_wheel_mps:0.05; told 3500; = unsilent, below 0.04",
-    # Never from a speed above the one that the robot has now.
+    # Never from a speed above the present one.
     **{
         f"back without a guard, at {seen_mps}": "driving 1 unguarded:true; see guarded:false mode:auto "
         f"all:{seen_mps}; late 500; = told {told_mps}"
@@ -199,14 +199,14 @@ YIELDS = {
     },
     "the guard left it to the remote control": "driving 1; see guard_sends:true mode:remote; tick 5; see "
     "mode:remote guard_stops:1; tick 5; = silent; see mode:auto guard_stops:1 gear:drive; tick; = told 0",
-    # What is not seen in the first moment may be seen in the next: nothing is told before.
+    # Feedback may still come: no command before.
     **{
         f"a bus that comes back, unseen, left at {speed_mps} m/s": f"engaged; drive {speed_mps} 60; see "
         "mode:undefined gear:undefined bus_up:false bus_losses:1; tick 100; see mode:undefined gear:undefined "
         "bus_losses:1; mark; tick 19; = quiet; tick; = told 0, parking"
         for speed_mps in (0, 0.5)
     },
-    # The chassis keeps our last command, and would obey it.
+    # The chassis keeps our last command, and would execute it.
     **{
         f"obeys again, {seen}": f"engaged; see mode:remote; tick 100; = events stop; see {seen}; tick; = "
         "stopping, for found_moving, told 0"
@@ -246,7 +246,7 @@ FOUND = {
         for seen, gear, from_mps, angle_deg, rest in [
             ("gear:drive", "drive", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
             ("gear:reverse wheel_speed_mps:-1", "reverse", 1.0, 24, "unparking; tick 25; = told 0.688, latched"),
-            # Told to stand, and no slower for a fifth of a second.
+            # Commanded to stand, and no slower for a fifth of a second.
             ("gear:neutral angle_deg:null", "neutral", 0.0, 0, "parking; tick 25; = told 0, latched rolling"),
             ("speed_mps:null angle_deg:-30", "drive", 1.0, -24, "unparking; tick 25; = told 0.688, latched"),
             # Its own speed is no fault: its scale is known.
@@ -267,7 +267,7 @@ FOUND = {
     },
     "nothing is seen: the brake from the first frame on": "ready; see mode:undefined gear:undefined "
     "speed_mps:null fastest_wheel_mps:null missing:all; mark; stop; tick 600; = unquiet, speechless, braked",
-    # A remote stop is sent where the chassis may obey an old command, or coasts in mode stop.
+    # A remote stop is sent if the chassis may execute an old command, or coasts in mode stop.
     **{
         f"stopped in {seen}": f"ready; see {seen}; tick; stop by anyone; = has remote_stop, {told}; text latch by "
         "anyone"
@@ -329,7 +329,7 @@ def test_a_robot_that_is_found_so(row: str) -> None:
 
 
 STANDING = {
-    # Any speed begins the time anew; 0 is never.
+    # Any speed restarts the time; 0 is never.
     **{
         f"idle for {idle_s} s": f"engaged idle_s:{idle_s}; drive 0 300; drive 0.5 10; drive 0 520; = held first, "
         f"{says}"
@@ -547,7 +547,7 @@ def test_a_refusal_is_bound_by_nothing() -> None:
 
 
 def test_an_event_keeps_what_it_is_made_of() -> None:
-    """Each subject has a sequence of its own, which wraps."""
+    """Each subject has its own sequence, which wraps."""
     told = Told("ready")
     told.bench.ask("acquire")
     told.reporter.sequences["SafetyEvent"] = SEQUENCE_MAX

@@ -140,7 +140,7 @@ FEEDBACK: dict[str, str] = {
         "= rests"
         for wrong, name in product(("zeros", "reversed"), REQUIRED)
     },
-    # Whatever they hold: 0 to 7 bytes, and CAN FD.
+    # 0 to 7 bytes, and CAN FD.
     **{
         f"{length} bytes": f"driving 1; corrupt Auto_DriveFeedBack length {length}; drive 1 0 0.04; wait 0.3; = "
         "stopped, for feedback_missing; rest; = rests, in_order"
@@ -157,12 +157,12 @@ FEEDBACK: dict[str, str] = {
             ("coarse", "fine"), (0.04, 0.05, 0.07), (0.4, 0.8, 1.5)
         )
     },
-    # Speeds that read zero since before a speed was told prove nothing.
+    # Speeds that read zero since before the command prove nothing.
     "it stands only if its feedback has answered": "ready fast; engage; reply stop none; detail the robot "
     "stands; wait 4; reply acquire none; reply reset none; engage; drive 2.2 0 0.16; freeze all; drive 2.2 0 "
     "0.5; reply stop not_confirmed; detail the speed reads 0, unchanged for; = unconfirmed; clear; wait 6; = "
     "confirmed; text stopped at standstill, no commands sent",
-    # The bumper is hidden for four metres at most: the wheels contradict the mileage; engaging anew hides nothing.
+    # The bumper is hidden for four metres at most: the wheels contradict the mileage.
     "a frozen body frame hides a bumper": f"driving 1; freeze {BODY}; drive 1 0 0.1; bumper front on; mark; "
     "drive 1 0 6; = latched feedback_frozen, way 4",
     **{
@@ -170,7 +170,7 @@ FEEDBACK: dict[str, str] = {
         f"implausible_speed; text latch the {other} scale of the drive frames would fit; wait 6; = rests"
         for variant, other in (("coarse", "fine"), ("fine", "coarse"))
     },
-    # The gate lets no speed pass in an unknown scale: the stop begins at zero, and is heard.
+    # The gate admits no speed in an unknown scale: the stop begins at zero.
     "a variant in doubt at speed": "driving 1.5; doubt; drive 1.5; = for variant_unknown, told 0; wait 6; = "
     "rests, standby",
     **{
@@ -235,7 +235,7 @@ def test_a_counter_that_stands_or_jumps_stops_the_robot(name: str, step: int) ->
 
 
 BUS: dict[str, str] = {
-    # The way goes on from what the chassis was told last: no jump, and the gate sees no fault.
+    # The motion continues from the last accepted command: no jump, and no fault at the gate.
     **{
         f"jammed for {ticks} ticks": f"ready; engage; drive 2 20 0.5; mark; takes 0; tick {ticks}; takes all; "
         "once 2 -20; = slower 0; drive 2 5 1; = engaged"
@@ -255,7 +255,7 @@ BUS: dict[str, str] = {
         + ("parked, phase hold" if taken > 1 else "unparked, phase park")
         for taken in range(1, 5)
     },
-    # Nobody who gave way in the hold of a stop releases the brake afterwards, not for one frame.
+    # A handover during the hold of a stop never releases the brake afterwards.
     **{
         f"a parked robot and {by}": f"driving 1; ask stop; hold; tick 20; = phase hold; mark; {by}; wait 6; = "
         "spoken, braked"
@@ -289,7 +289,7 @@ def test_a_bus_that_fails(row: str) -> None:
 
 @pytest.mark.parametrize(("takes", "variant"), mostly_coarse(range(5)))
 def test_a_full_buffer_stops_the_robot_and_nothing_stale_leaves(takes: int, variant: Variant) -> None:
-    """Five ticks in a row whose frames are not taken; what was not taken is made anew, never sent later."""
+    """After five ticks without accepted frames; these are never sent later."""
     play(
         f"driving 1; takes {takes}; drive 2 20 0.04; = engaged; tick 2; = for send_failed; wait 0.3; takes all; "
         "tick 1; = below 1; wait 6; = rests, standby",
@@ -310,10 +310,10 @@ def test_a_bus_that_takes_a_part_of_each_burst_does_not_keep_the_robot_going(tak
 TAKEN: dict[str, str] = {
     "by the remote control": "driving 1; transmitter remote; sticks 0.3 0; drive 1 0 0.06; = standby, events "
     "takeover hand_transmitter; drive 1 0 2; = parted; mark; drive 1 0 1; = silent; reply engage hand_transmitter",
-    # The mode leaves auto for one frame only, and the chassis goes on by what it was told.
+    # The mode leaves auto for one frame only, and the chassis continues its command.
     "for one frame": f"driving 1.5; corrupt once {BODY} flipped 41; drive 1.5 0 0.06; = stopping, for "
     "mode_not_auto; wait 6; = rests",
-    # One frame reads remote, then none comes: it may obey its old command for ever.
+    # One frame reads remote, then none comes: it may execute its old command forever.
     "then silent": f"driving 1; corrupt last {BODY} flipped 40; drive 1 0 0.06; = standby; wait 6; = events stop "
     "found_moving, rests",
     # Another computer may own the bus.
@@ -425,7 +425,7 @@ def test_a_bumper_that_is_hit(row: str) -> None:
 
 
 LOOP: dict[str, str] = {
-    # Told some speed and still standing, a pause must not skip the order.
+    # Commanded a speed and still standing: a pause must not skip the order.
     "a late stop at the very start of motion": "ready; engage; drive 1 0 0.3; driven 1 unbelow 0.01; lag 150; "
     "tick 1; lag 0; = gear drive, for loop_late",
     "the guard's words are in the events and in the latch": "driving 1; links guard_sends:1 guard_stops:1 "
@@ -454,7 +454,7 @@ LOOP: dict[str, str] = {
         "guard; wait 6; reply acquire none; reply reset none; = latched"
         for begin in ("driving 1", "ready")
     },
-    # The lower of the two limits, said before it is engaged.
+    # The lower of the two limits, shown before it is engaged.
     **{
         f"{lacks}": f"ready unguarded; links {lacks}; wait 0.2; = limit 1.0; engage; = limit 1.0; drive 2 0 3; = "
         "told 1; drive 0 0 2; reply disengage none; rest; engage speed_limit_mps:0.4; = limit 0.4"
@@ -523,7 +523,7 @@ FOUND = {
 
 @rows(FOUND)
 def test_a_robot_found_moving_is_stopped(row: str) -> None:
-    """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also with no mode at hand."""
+    """Row 'found at start: moving by drive, wheels or pulses, and nobody sending': also without a mode."""
     play(row)
 
 

@@ -70,7 +70,7 @@ FLOW = {
     "drive, parking; tick 1; text latch 18C4D3D0: because; wait 6; = rests, standby",
     "the gate refuses a burst, and the bus is full": "driving 1; refuse 1; takes 0; once 1; = latched gate, "
     "stopping, unmute; takes all; tick 1; = told 0, gear drive, parking; wait 6; = rests, standby",
-    # Where it refuses the brake too, nothing goes out, and the guard is told; what it admits later goes out.
+    # If it refuses the brake too, nothing is sent, and the guard acts; later bursts are sent again.
     "the gate refuses all": "driving 1; mark; refuse 10; tick 5; = mute, silent, stopping; tick 1; = unmute, "
     "frames 6; wait 6; = rests, standby",
     "a counter that does not go on": "driving 1; slip; tick 1; = latched gate; tick 1; text latch 18C4D3D0: the "
@@ -87,10 +87,10 @@ FLOW = {
         f"{un}mute; takes all; tick 1; = unmute"
         for ticks, un in ((MUTE_FAILURES - 1, "un"), (MUTE_FAILURES, ""))
     },
-    # Of a part the chassis has heard some; the time since it was told all goes on.
+    # A part does not reset the time since the last whole burst.
     "whole bursts alone count as told": "driving 1; = whole; takes 4; drive 1; = unwhole; takes 5; drive 1; = "
     "whole",
-    # The speed is the first frame of a burst; the brake is heard when there is room.
+    # The speed is the first frame of a burst; the brake follows when the bus accepts it.
     "takes the speed alone": "driving 1; stop; takes 1; mark; tick 70; = falling, heard 0, phase park, unparked; "
     "takes all; wait 0.1; = phase hold",
     # The first burst after a silence is not held against the last one before it.
@@ -113,11 +113,11 @@ FLOW = {
 
 @rows(FLOW)
 def test_what_the_gate_refuses_and_the_bus_does_not_take(row: str) -> None:
-    """Row 'the gate': in its place the parking brake is told; who can tell nothing is mute, and the guard acts."""
+    """Row 'the gate': the parking brake instead; a flow that can send nothing is mute, and the guard acts."""
     play(row)
 
 
-# Slopes: every rule holds on 20 deg up and down, empty and loaded, whatever the brake pedal does.
+# Slopes: every rule holds on 20 deg up and down, empty and loaded, with any brake pedal.
 
 SLOPES = (-20.0, 8.0, 20.0)
 MORE_SLOPES = (-8.0, 3.0, 15.0)
@@ -305,7 +305,7 @@ COASTS: dict[str, str] = {
     },
     "after a takeover, having forgotten what it was told": "hill -8; drive 0.5 0 2; transmitter remote; sticks "
     "0.5 0; wait 1; forget; transmitter command; wait 5; = rests, parked",
-    # Nothing ever resumes by itself, also where another node switches lamps: they command no motion.
+    # Motion never resumes automatically, also if another node switches lamps.
     **{
         f"given back, {meanwhile}": f"driving 2; transmitter remote; drive 2 0 0.2; wait 3; {meanwhile}; wait "
         "0.5; mark; transmitter command; wait 5; = way 0.05, parked"
@@ -316,7 +316,7 @@ COASTS: dict[str, str] = {
 
 @rows(COASTS)
 def test_a_robot_that_coasts_gets_its_parking_brake(row: str) -> None:
-    """Rows 'a stop that cannot be carried out' and 'in mode stop and seen to move': it is told to park."""
+    """Rows 'a stop that cannot be carried out' and 'in mode stop and seen to move': it is parked."""
     play(row)
 
 

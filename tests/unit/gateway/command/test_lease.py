@@ -155,7 +155,6 @@ FAR_AGO = (100 * 25 + 300 * 25 + 900) / 51 / 1e3
     ],
 )
 def test_how_old_the_commands_are(ages_ms: list[int], later_ns: int, ages: Ages) -> None:
-    """The one that bounds the speed, the last one, and the quantiles."""
     link, now_ns = link_of(ages_ms)
     found = link.ages(now_ns + later_ns)
     for name in Ages.__struct_fields__:
@@ -165,7 +164,6 @@ def test_how_old_the_commands_are(ages_ms: list[int], later_ns: int, ages: Ages)
 
 
 def test_no_flood_of_commands_is_remembered() -> None:
-    """So many at most."""
     link, now_ns = link_of([5] * 3 + [7] * KEPT, every_ms=1)
     assert link.ages(now_ns).p50_s == 0.007
     assert len(link._ages) == KEPT
@@ -177,7 +175,7 @@ def test_no_flood_of_commands_is_remembered() -> None:
         (200, 0.0, None, 2.0),
         (30, 0.0, None, 1 / 0.33),
         (450, 0.0, 1.0, 1 / 1.45),
-        # The delay of the pictures is age too: the gateway sees nothing of it by itself.
+        # The camera's delay, which the gateway cannot measure, is age too.
         (200, 0.5, None, 1.0),
     ],
 )
@@ -202,7 +200,7 @@ def test_the_speed_is_bounded_by_age_and_deadman(
     ages_ms=st.lists(st.integers(0, 1000), min_size=1, max_size=200), deadman_s=st.none() | st.floats(0.05, 1.0)
 )
 def test_no_target_is_faster_than_the_travel_delay_allows(ages_ms: list[int], deadman_s: float | None) -> None:
-    """Whatever the ages: the way over the age and the deadman is the setting at most."""
+    """The way over age and deadman is at most the setting."""
     link, now_ns = link_of(ages_ms)
     link.begin(deadman_s)
     delay_s = link.delay_s(now_ns)
@@ -227,7 +225,7 @@ def test_an_engagement_may_ask_for_a_longer_deadman_and_for_no_shorter_one(
 
 
 def test_the_silence_tells_what_was_refused_in_it() -> None:
-    """How many commands, why and how old the last one was; what an accepted one came after counts no more."""
+    """Number, reason and age of the refused commands since the last accepted one."""
     link = LinkAge(SETTINGS)
     assert link.silence(310 * MS) == "none for 310 ms"
     link.refuse(Reason.TOO_OLD, 900 * MS)

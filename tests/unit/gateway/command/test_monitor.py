@@ -164,7 +164,7 @@ def test_frames_that_the_bus_does_not_take_stop(failures: int, stops: list[Reaso
 
 
 def test_what_is_not_plausible_stops() -> None:
-    """Rows 'rolling' and 'plausibility': told to stand it moves; the details are those of what was found."""
+    """Rows 'rolling' and 'plausibility': it moves although commanded to stand."""
     monitor = monitoring(MOVING)
     assert found(monitor) == []
     assert found(monitor, 100) == [Reason.ROLLING]
@@ -285,7 +285,7 @@ FORWARD, BACKWARD, FAR = told(0.5), told(-0.5), "total_mileage_km:1.5"
         (ROLLING, 100, seen(0.0, words="pulses:1"), BACKWARD, "forward by the wheel pulses"),
         (ROLLING, 1000, seen(0.06), AT_REST, "forward at 0.06 m/s by the wheels"),
         (ROLLING, 1000, seen(-0.1), AT_REST, "backward at 0.10 m/s by the wheels"),
-        # It stands, or goes as it is told.
+        # It stands, or follows its command.
         (ROLLING, None, seen(0.05), AT_REST, ""),
         (ROLLING, None, seen(-0.05), AT_REST, ""),
         (ROLLING, None, seen(-0.05), FORWARD, ""),
@@ -293,7 +293,7 @@ FORWARD, BACKWARD, FAR = told(0.5), told(-0.5), "total_mileage_km:1.5"
         (ROLLING, None, seen(-0.7), BACKWARD, ""),
         (ROLLING, None, seen(0.5, words="pulses:1"), FORWARD, ""),
         (ROLLING, None, seen(None, 0.5), FORWARD, ""),
-        # Over the limit by 0.3 m/s, also over the lowered one of 0.5 m/s of those that are told that.
+        # Over the limit by 0.3 m/s, also over a lowered one of 0.5 m/s.
         (OVERSPEED, 300, seen(2.53), told(2.222), "2.53 m/s, the limit is 2.22 m/s"),
         (OVERSPEED, None, seen(2.51), told(2.222), ""),
         (OVERSPEED, 300, seen(0.8), FORWARD, "0.80 m/s, the limit is 0.50 m/s"),
@@ -320,7 +320,7 @@ def test_motion_that_is_not_plausible_is_found_in_time(
 
 
 def test_steering_that_is_stuck_is_found() -> None:
-    """Row 'steering': at full lock while straight on is told; first it may lag behind."""
+    """Row 'steering': at full lock with a command straight ahead, after a lag."""
     watched = Watched(0.0, 24.0)
     after_ms = watched.found_after_ms(STEERING, seen(0.0, words="angle_deg:24"))
     assert after_ms is not None
@@ -447,7 +447,7 @@ def test_steering_that_lags_follows(rate_degps: float) -> None:
 
 
 def test_noise_is_no_speed_that_a_robot_gathers() -> None:
-    """Row 'commanded to move, seen to stand': one that is blocked, and whose coarse speeds flicker, is found."""
+    """Row 'commanded to move, seen to stand': also with flickering coarse speeds."""
     robot = Watched()
     reasons = [Reason.NOT_MOVING in robot.run(seen(0.08 * (tick // 5 % 2)), told(0.5)) for tick in range(250)]
     assert True in reasons

@@ -1,4 +1,4 @@
-"""The limits in force, the bicycle model, and the way from a target to what the chassis is told.
+"""The limits in force, the bicycle model, and the way from a target to a command.
 
 A row begins with "new" or "going M/S". "tick M/S [COUNT] [DEGREES]" asks for a speed; "set" sets what is seen.
 """
@@ -94,7 +94,7 @@ def move(row: str) -> None:
 
 
 SETS_OFF = {
-    # Never in neutral unbraked: with all enables, for as long as nobody drives it.
+    # Never in neutral unbraked: with all enables, until the first drive.
     "parked before any speed is asked for": "new; tick 0 500; = enabled, gear neutral, parking, told 0, angle 0",
     **{
         f"by gear, brake and ramp to {mps}": f"new; tick {mps}; = gear {gear}, parking, told 0, bounds gear; "
@@ -133,7 +133,7 @@ GEARS = {
     "gear drive",
     "a reversal that is given up midway": "going 1; until -1 gear neutral; tick 0 300; = gear neutral, parking; "
     "tick 1 230; = told 1",
-    # After a second, which begins anew with each motion; in gear at zero speed.
+    # After a second, which restarts with each motion; in gear at zero speed.
     "held after a second of standing": "going 1; set stands:false; tick 0 300; = gear drive, told 0, unparking; "
     "set stands:true; tick 0 100; = gear drive, told 0, unparking; tick 0; = gear drive, told 0, parking, bounds",
     "the second begins anew": "going 1; tick 0 84; "
@@ -297,7 +297,7 @@ def test_what_is_within_the_limits_is_reached_unchanged(speed_mps: float, share:
     ("settings", "limits"),
     [
         (CommandSettings(), MotionLimits(1.0, 0.8, 1.2, 2.0, 24.0, 60.0, 1.5)),
-        # Whatever the settings say, a graver stop is no slower.
+        # A more severe stop is never slower, with any settings.
         (
             CommandSettings(deceleration_mps2=1.5, emergency_deceleration_mps2=0.5),
             MotionLimits(1.0, 0.8, 1.5, 1.5, 24.0, 60.0, 1.5),
@@ -341,7 +341,7 @@ def drive(speed_mps: float = 1.0, **asked: Any) -> Drive:  # noqa: ANN401 - any 
         (drive(yaw_rate_radps=0.5), degrees(atan(0.66 / 2))),
         (drive(-2.0, yaw_rate_radps=-1.0), degrees(atan(0.66 / 2))),
         (drive(0.0, yaw_rate_radps=0.0), 0.0),
-        # None, two, or one that no robot can drive.
+        # None, two, or an impossible one.
         (drive(), "exactly one"),
         (drive(angle_deg=0.0, curvature_1pm=0.0), "exactly one"),
         (drive(angle_deg=0.0, yaw_rate_radps=0.0), "exactly one"),

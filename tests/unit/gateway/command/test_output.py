@@ -175,7 +175,7 @@ def test_the_whole_sequence(row: str) -> None:
 BRAKE = {
     "not while it only lags behind the ramp": "1 drive; slowing 1 0.8333 1200; = unparking; stands 10; = "
     "parking, gear drive",
-    # By more than the standstill bound, at any told speed.
+    # By more than the standstill bound, at any commanded speed.
     **{
         f"at once against {gear}, told {mps}": f"{mps} {gear}; moving 0.05 10 {back}; = unparking; moving 0.051 "
         f"10 {back}; = parking, told 0, gear {gear}"
@@ -193,7 +193,7 @@ BRAKE = {
     "300 ms after it stopped slowing": "1 drive @1.2; slowing 1 1.2 200; "
     + "moving 0.772 10; moving 0.787 10; " * 14
     + "= unparking; moving 0.772 30; = parking",
-    # One that loses a little speed all the time would coast for metres.
+    # A robot that slows down very little would coast for metres.
     "a second after zero was told": "1 drive @inf; slowing 2 0.3 1000; = lasted brake:1000; moving 1.7 10; = "
     "phase park",
     # What was parked is never released in a stop.
@@ -222,7 +222,7 @@ def test_when_the_parking_brake_is_told(row: str) -> None:
 
 NOISE = "moving 0 10; moving 0.08 10; " * 100
 HOLDS = {
-    # The second begins anew as long as it moves, brake or no brake.
+    # The second restarts while it moves, braked or not.
     "a robot that moves is not left": "1 drive; obeys 1000; = phase hold; moving 0.1 60000 braked; = phase hold; "
     "held 990; = enabled; held 10; = unenabled",
     # Disabled frames may release the brake of some firmware; after the second return the enables stay.
@@ -242,14 +242,14 @@ HOLDS = {
     "no speed ever": "0 drive parking; release; unread 310; unread 50; = parking",
     # A robot at rest whose coarse speeds flicker by a bit each way is not given to its brake again.
     "noise": f"0 drive parking; release; moving 0 310; {NOISE}= unparking; moving 0.081 10; = parking",
-    # In the midst of a change of direction the gear comes behind the brake, and a tick later its motor has it.
+    # In a change of direction the gear is engaged behind the brake, and a tick later the motor holds it.
     **{
         f"in neutral, rolling to {gear}": "0 neutral parking may_release stood_by_motor; held 30; moving 0.2 100 "
         f"braked {back}; = parking, gear neutral; moving 0.2 10 braked {back}; = parking, gear {gear}; moving 0.2 "
         f"10 braked {back}; = unparking, gear {gear}"
         for back, gear in (("back", "reverse"), ("", "drive"))
     },
-    # Once, if the motor brought it to rest; one that slows down is held by its brake.
+    # Once, if the motor brought it to rest; a robot that slows down is held by its brake.
     **{
         f"given back to the motor that stopped it, {flag or 'not'}": f"1 drive {flag}; obeys 1000; = phase hold; "
         "moving 0.3 50 braked; = parking; moving 0.1 60 braked; = parking; held 200; moving 0.1 100 braked; = "
@@ -301,7 +301,7 @@ def test_a_brake_that_slows_a_robot_beyond_what_can_be_read_does_not_slip() -> N
 def test_nothing_is_ever_taken_back_in_a_stop(
     speed_mps: float, gear: GearPosition, *, parking: bool, seen_: list[StopFeedback], steps_ms: list[int]
 ) -> None:
-    """Whatever is seen, however the ticks come: the speed falls, the brake stays, neutral only behind it."""
+    """With any feedback and ticks the speed falls, the brake stays, and neutral is only behind it."""
     is_driven = gear is not NEUTRAL and not parking
     last = before = doing(speed_mps if is_driven else 0.0, gear, parking=parking)
     sequence = StopSequence(last, 1.2, 0)
@@ -345,7 +345,7 @@ def test_what_is_not_seen_yet_is_waited_for_from_when_the_bus_is_back() -> None:
     assert not handover.is_obeyed_again(AUTO, back_ns + LEFT_BLIND_NS, is_taken=False)
 
 
-# What is seen of a chassis, and where a stop begins that nobody of us led up to.
+# The measured state of a chassis, and where a stop of a robot that was found moving begins.
 
 LIMITS = MotionLimits.of(CommandSettings(speed_limit_mps=1.5, steering_limit_deg=10.0))
 

@@ -1,4 +1,4 @@
-"""What survives a restart or a gap: latches, a gateway at rest, the secret numbers of leases. Rows are scenes."""
+"""State across a restart or a gap: latches, a gateway at rest, the secret numbers of leases. Rows are scenes."""
 
 from itertools import count
 
@@ -72,7 +72,7 @@ def test_a_gateway_that_is_needed_does_not_start_again(disturbed: str) -> None:
 
 
 def test_a_busy_computer_does_not_keep_a_gateway_from_starting_again() -> None:
-    """The loop is late all the time, and says so in events; nobody asks anything."""
+    """Events of a late loop do not count as requests."""
     play(f"ready; {QUIET}" + "; lag 100; tick 1; lag 0; wait 0.5; = may_restart, event fault loop_late" * 20)
 
 
@@ -133,7 +133,7 @@ def test_whatever_goes_on_is_no_rest(row: str) -> None:
 
 
 def rested() -> tuple[GatewayRig, CommandFlow, Snapshot]:
-    """A robot that was driven by two operators, and that nobody wants any more; what is remembered of it."""
+    """A robot at rest after two drivers, and its snapshot."""
     begin, _, steps = RESTED.partition("; ")
     scene = Scene(begin)
     scene.play(steps)
@@ -232,7 +232,7 @@ OWN = msgspec.msgpack.encode({"lease": NUMBER})
         (raw("renew", msgspec.msgpack.encode({"lease": -1})), "$.lease"),
         # Nothing in a stop can make it a request that cannot be read.
         *((raw("stop", payload), "") for payload in (b"", b"help", b"\x81\xa5lease", OWN)),
-        # Its size is told; its bytes are not even read.
+        # Its size is kept; its bytes are not read.
         (raw("renew", OWN, 5000), ""),
         # Of another version, even if this one could read it.
         *((msgspec.structs.replace(raw(verb, OWN), fault="version 7"), "version 7") for verb in VERBS),
@@ -256,7 +256,7 @@ def test_a_renewal_tells_the_same_number_and_a_refusal_none() -> None:
 
 
 def test_the_lease_in_force_and_those_before_it_are_remembered() -> None:
-    """However many were given: sixteen whose end is told, and the newest. The memory is bounded."""
+    """Sixteen ended ones and the newest: the memory is bounded."""
     drawn = count(1000)
     numbers = LeaseNumbers(lambda: next(drawn))
     for lease in range(1, 501):

@@ -1,4 +1,4 @@
-"""The tables of states and of causes, and what is told although it stops nothing."""
+"""The tables of states and of causes, and events that stop nothing."""
 
 import pytest
 
@@ -30,14 +30,14 @@ RULES = {
     "grant_revoked not_confirmed found_moving shutdown",
     # A ramp in the wrong scale would ask for 40 times the speed.
     "no ramp": "implausible_speed variant_unknown",
-    # Row 'rolling: parking brake at once'; and where a ramp cannot be told: what the gate refuses, mode stop.
+    # Row 'rolling: parking brake at once'; and without a ramp after a refusal or in mode stop.
     "parks": "rolling gate mode_not_auto",
 }
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_a_cause_stops_as_the_table_says(rule: str) -> None:
-    """What latches, what is a controlled stop, what does not ramp, and what is parked at once."""
+    """Latches, controlled stops, stops without a ramp, and stops that park at once."""
     found = {
         "latched": [one for one, how in STOPS.items() if how.latched and how.at_once],
         "slow": [one for one, how in STOPS.items() if not how.at_once],
@@ -54,7 +54,7 @@ BUS, OFF, LATE = Reason.BUS_ERRORS, Reason.BUS_OFF, Reason.LOOP_LATE
 INFO, WARNING, ERROR = Severity.INFO, Severity.WARNING, Severity.ERROR
 Look = tuple[int, dict[str, object], tuple[Severity, Reason, str] | None]
 NOTICES: dict[str, list[Look]] = {
-    # Off the bus it is an error; that it is well again is told too.
+    # Bus off is an error; the recovery is an event too.
     "each change of the controller": [
         (0, {"controller": ControllerState(state)}, told)
         for state, told in [
@@ -81,7 +81,7 @@ NOTICES: dict[str, list[Look]] = {
             (60, 36 + 2 * COMMANDER_QUIET_NS, True),
         ]
     ],
-    # Row 'the guard has stopped the robot': once, when it sends no more; another guard says nothing yet.
+    # Row 'the guard has stopped the robot': once, when it has ended; another guard has nothing to report yet.
     "the end of the guard's stop": [
         (0, {"guard_sends": True, "guard_stops": 1, "guard_says": CAUSE}, None),
         (1, {"guard_stops": 1, "guard_says": f"{CAUSE}; it stands"}, (WARNING, Reason.GUARD, ENDED)),

@@ -1,4 +1,4 @@
-"""What is ruled on each verb, in open and in signed mode. Rows are those of ``ArbiterRig``."""
+"""The ruling on each verb, in open and in signed mode. Rows are those of ``ArbiterRig``."""
 
 from itertools import pairwise, product
 
@@ -109,7 +109,7 @@ LEASES = {
     "renewed": "ready lease_s:10; acquire; tick 800; renew; tick 400; renew; = ruled none, lasts 10",
     "about to expire": "ready lease_s:10; acquire; tick 998; drive; = refused not_engaged",
     "expired": "ready lease_s:10; acquire; tick 999; drive; = ruled lease_expired",
-    # Its end stops the robot, also one that is being engaged; the events name who lost it and who has it.
+    # Its end stops the robot, also while engaging; the events name former and new holder.
     "given back": f"{ENGAGED}; release; = ruled none, stopping, for lease_released, by lease first; text lease "
     "first gave the lease back",
     "given back while engaging": f"{ENGAGING}; release; = stopping, for lease_released, by lease first",
@@ -118,7 +118,7 @@ LEASES = {
     "taken while engaging": f"{ENGAGING}; take; = held first, stopping, for lease_taken",
     "it expires": "engaged lease_s:0.5 deadman_s:0.5; tick 52; = stopping, for lease_expired, by lease first, by "
     "stop first",
-    # Nothing is stopped that is not told anything; what nobody holds is acquired.
+    # A robot in standby is not stopped; a free lease is acquired.
     "taken in standby": "ready; take by second role:program; = ruled none; text lease second has acquired the "
     "lease as program; take; = ruled none, standby",
 }
@@ -232,7 +232,7 @@ RESET = {
     },
     "a command": f"{LATCHED}; drive 1; reset; = refused command_not_zero",
     "a command of zero": f"{LATCHED}; drive 1; drive; reset; = ruled none, latched",
-    # One that comes at once may have been on its way when the stop came. The rig's challenges are a tick late.
+    # An early reset may have been sent before the stop. The rig's challenges are a tick late.
     "490 ms after the latch": "ready; acquire; stop; tick 48; reset; = refused remote_stop, own",
     "500 ms after the latch": "ready; acquire; stop; tick 49; reset; = ruled none, latched",
     "a challenge of now": f"{LATCHED}; tick 140; reset challenge:0; = ruled none, latched",
@@ -248,7 +248,7 @@ RESET = {
     "a bumper held down": f"{HIT_TWICE}; tick 60; reset; = ruled none, latched",
     "what is reset is not engaged": "engaged; stop by second; hold 600; engage; = refused remote_stop; reset "
     "of:second; = ruled none, standby; detail remote_stop",
-    # Whoever resets has not seen a stop of the same tick: stop always wins.
+    # A reset has not seen a stop of the same tick: the stop wins.
     "a second stop in its tick": "ready; acquire; stop; tick 60; together stop by second + reset + engage; = "
     "standby; detail none remote_stop remote_stop",
 }
@@ -259,7 +259,7 @@ WHOSE = {
     + (f"= refused stopped_by_other; detail {refused_for}" if refused_for else "= ruled none, latched")
     for stoppers, of, refused_for in STOPPERS
 } | {
-    # Whoever stops it again is the newest. So says the detail, which outlives a restart, too.
+    # A repeated stop makes its sender the newest, also in the detail, which survives a restart.
     "the last four are named": "ready; "
     + "".join(f"stop by {name}; " for name in "abcdeb")
     + "= events latch remote_stop; latch remote_stop by b, e, d, c, others"
@@ -298,7 +298,7 @@ AUXILIARY = {
 
 @rows(AUXILIARY)
 def test_what_an_engaged_robot_does_besides(row: str) -> None:
-    """What is served is sent together with the five motion frames. Row 'rolling: park at zero command'."""
+    """Sent together with the five motion frames. Row 'rolling: park at zero command'."""
     play(row)
 
 
@@ -323,7 +323,7 @@ DRIVE = {
         f"target 0.5; detail {seq} after 50; drive 1 1 seq:51; = ruled none"
         for seq in (50, 49)
     },
-    # Nobody lifts it to where the holder's own numbers are refused; a new lease begins at the bottom.
+    # A jump cannot block the holder's own numbers; a new lease starts from the beginning.
     **{
         f"sequence {seq} after 1": f"{ENGAGED}; drive 1 1 seq:{seq}; = refused sequence; detail {seq} after 1, at "
         "most 1000 more; drive 1 1 seq:1001; = ruled none; drive 1 1 seq:1002; = ruled none; release; acquire; "
@@ -335,9 +335,9 @@ DRIVE = {
     "400, fresh",
     "too old": "engaged deadman_s:0.5 max_age_s:0.4; tick 41; drive 1 1 seq:2 challenge:41; = refused too_old, "
     "age 410, unfresh; detail 410 ms, at most 400 ms; drive 1 1 seq:2; = ruled none",
-    # It was not published: of another run, of none, or one that nobody can have seen yet.
+    # Not published yet, or in another run.
     "an unknown challenge": f"{ENGAGED}; drive 1 1 challenge:-5; = refused challenge_unknown, age none, target 0",
-    # A stream that comes too late is told from one that has ended.
+    # A stream that comes too late differs from one that has ended.
     "refused until the deadman": "driving 0.5 60 max_age_s:0.4; drive 0.5 31 challenge:47; = for deadman; text "
     "stop none for 310 ms| 31 commands refused as too old, 470 ms",
 }
@@ -375,7 +375,7 @@ QUERIES = [verb for verb, command in BY_VERB.items() if command.asking is Asking
     "reason", [Reason.PROOF_MISSING, Reason.PROOF_WRONG, Reason.GRANT_REVOKED, Reason.REPLAYED]
 )
 def test_a_request_whose_proof_does_not_hold_is_refused_with_its_reason(verb: str, reason: Reason) -> None:
-    """Every verb but the stop, whatever its fields say."""
+    """Every verb but the stop, with any fields."""
     rig = begun("engaged signed:true")
     rig.credentials = Credentials(reason, "so many")
     own = {"lease": rig.lease, "challenge": rig.challenge(), "seq": 99}

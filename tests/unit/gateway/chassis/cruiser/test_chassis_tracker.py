@@ -149,7 +149,7 @@ def test_what_is_missed_is_a_setting(name: str, *, required: bool) -> None:
 
 @pytest.mark.parametrize("name", REQUIRED)
 def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
-    """After its ten periods, not before; what it told is not known any more."""
+    """After its ten periods, not before; its values are unknown then."""
     eye = Eye()
     eye.show_all()
     after_ms = silence_ns(load(Variant.COARSE).messages[name].period_ns) // MS
@@ -184,7 +184,7 @@ def test_a_frame_that_falls_silent_is_missing(name: str) -> None:
 def test_without_drive_feedback_the_wheels_tell_that_something_turns(
     variant: Variant, wheels: dict[str, Value] | None, *, turns: bool | None
 ) -> None:
-    """In a scale that nobody knows; wheels that are not valid, or do not come, tell nothing."""
+    """In an unknown scale; invalid or missing wheel speeds prove nothing."""
     eye = Eye(variant)
     for stream in eye.streams.values():
         stream.withhold()
@@ -210,7 +210,7 @@ def test_a_frame_that_says_that_it_is_not_valid_is_waited_for_and_then_missing(n
     assert eye.look(late_ms).missing == (name,)
     eye.show(name, at_ms=late_ms)
     assert eye.look(late_ms).missing == ()
-    # One that was never valid is not waited for: nothing was known before.
+    # A frame that was never valid is missing at once.
     fresh = Eye()
     fresh.show_all(5000, but=(name,))
     fresh.show(name, {"Valid": False}, 5000)
@@ -261,7 +261,7 @@ def test_pulses_tell_a_direction_when_many_frames_in_a_row_count_that_way_and_no
 
 
 def test_lost_frames_do_not_make_a_robot_that_slows_down_look_steady() -> None:
-    """What is counted across a lost frame took two periods: the alive counter tells."""
+    """Counts across a lost frame took two periods, by the alive counter."""
     eye = Eye()
     eye.show_all()
     seen = []

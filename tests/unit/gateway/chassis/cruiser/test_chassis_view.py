@@ -1,4 +1,4 @@
-"""What the guard believes of the bus."""
+"""The guard's view of the bus."""
 
 import pytest
 
@@ -122,7 +122,7 @@ def test_motion_is_seen_by_either_speed(
 
 
 def test_what_a_stop_looks_at() -> None:
-    """Row 'stop: moves against the ramp, does not slow, applied parking brake': not known before it is told."""
+    """Row 'stop: moves against the ramp, does not slow, applied parking brake': unknown without feedback."""
     view, feedback = ChassisView(), Feedback(Variant.COARSE)
     assert view.is_braked(0) is view.fastest_mps(Variant.COARSE, 0) is None
     assert view.wheel_speed_mps(Variant.COARSE, 0) is None
@@ -137,7 +137,6 @@ def test_what_a_stop_looks_at() -> None:
 
 
 def test_silence_is_not_standstill() -> None:
-    """What is not heard is not known."""
     view = ChassisView()
     feed(view)
     assert view.has_feedback(990 * MS)
@@ -151,7 +150,7 @@ def test_silence_is_not_standstill() -> None:
 
 
 def test_the_next_counter_of_each_command_is_known() -> None:
-    """Whoever sent it: 15 wraps to 0."""
+    """From any sender: 15 wraps to 0."""
     view, encoder = ChassisView(), Encoder(load(Variant.COARSE))
     view.receive(encoder.encode("Auto_GearCmd", {}, 15), 7)
     view.receive(encoder.encode("Auto_LightCmd", {}, 3), 9)

@@ -1,4 +1,4 @@
-"""The early stop sends what the guard's stop sends, byte for byte, and only to a robot that nobody commands."""
+"""The early stop sends the frames of the guard's stop, byte for byte, and only to a robot without a commander."""
 
 import ast
 import random
@@ -56,7 +56,7 @@ class Left:
         self.early = EarlyStop(self.now_ns)
 
     def frames(self) -> list[Frame]:
-        """What the chassis has sent since it was asked last."""
+        """Frames of the chassis since the last call."""
         return self.chassis.advance(self.now_ns)
 
     def step(self) -> list[Command]:
@@ -89,7 +89,7 @@ class Left:
 def test_a_robot_left_in_motion_is_told_zero_at_once_and_ends_parked(
     variant: Variant, gear: GearPosition, speed_mps: float
 ) -> None:
-    """Zero 0.15 s after the first frame; then it stands behind its brake, told nothing any more."""
+    """Zero 0.15 s after the first frame; then it stands behind its brake, without commands."""
     left = Left(variant, speed_mps, gear=gear, angle_deg=10.0)
     assert abs(left.chassis.state.speed_mps) == pytest.approx(speed_mps, abs=0.05)
     bursts = left.until(6)
@@ -150,7 +150,7 @@ def test_a_robot_that_stands_is_left_alone() -> None:
 
 
 def test_a_robot_that_the_remote_control_has_is_left_alone() -> None:
-    """It is the remote control's; given back, it would obey its old command again, and is stopped then."""
+    """Given back, it would execute its old command again, and is stopped then."""
     left = Left(Variant.COARSE)
     left.chassis.inject(fault_line("transmitter remote for 2s"), left.now_ns)
     assert left.until(1.9) == []
@@ -186,7 +186,7 @@ def test_every_constant_is_the_products() -> None:
 
 
 def test_every_wheel_speed_stands_or_not_as_the_guard_says() -> None:
-    """Of every raw value of a wheel, and with bits where none should be."""
+    """For every raw value of a wheel, and with unused bits set."""
     view = ChassisView()
     for raw in range(1 << 16):
         for other in (raw, 200, 32768):
@@ -232,7 +232,7 @@ class Pair:
 
 @pytest.mark.parametrize("seed", seeds(6, 60))
 def test_its_frames_are_those_of_the_guards_stop(seed: int) -> None:
-    """Whatever the chassis does meanwhile: slopes, frames that fail or lie, a bus that takes a part."""
+    """On slopes, with wrong frames, on a bus that accepts a part."""
     chance = random.Random(seed)  # noqa: S311 - a scene, no secret
     left = Left(
         chance.choice(VARIANTS),
@@ -253,7 +253,7 @@ def test_its_frames_are_those_of_the_guards_stop(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", seeds(6, 60))
 def test_its_frames_are_the_guards_for_feedback_that_no_chassis_would_send(seed: int) -> None:
-    """Each value by itself, for a while: modes, brakes, gears, angles and speeds that do not belong together."""
+    """Independent modes, brakes, gears, angles and speeds."""
     chance = random.Random(seed)  # noqa: S311 - a scene, no secret
     feedback = Feedback(chance.choice(VARIANTS))
     pair = Pair(EarlyStop(0), chance)
@@ -321,7 +321,7 @@ def test_it_imports_small_modules_of_the_standard_library_alone() -> None:
 def test_its_note_is_the_guards(
     tables: str, interface: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The gateway finds it under the same name, reads all of it, and knows who writes it."""
+    """The gateway finds it under the same name, and reads it with its writer."""
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     (tmp_path / "cruiser.toml").write_text(tables, "utf-8")
     monkeypatch.setenv("CRUISER_CONFIG", str(tmp_path / "cruiser.toml"))

@@ -22,7 +22,6 @@ FULL = Actuation(True, GearPosition.REVERSE, 2.222, -24.0, parking=False)  # noq
 
 
 def signals(frames: list[Frame], variant: Variant) -> dict[str, dict[str, object]]:
-    """What the DBC reads from them."""
     decoder = FrameDecoder(load(variant))
     read: dict[str, dict[str, object]] = {}
     for frame in frames:
@@ -115,7 +114,7 @@ def wheels(variant: Variant, left_mps: float, right_mps: float) -> bytes:
 
 @pytest.mark.parametrize(("data", "variant"), [(COARSE_STANDING, Variant.COARSE), (FINE_STANDING, Variant.FINE)])
 def test_a_frame_with_a_bit_that_the_variant_does_not_have_is_no_evidence(data: bytes, variant: Variant) -> None:
-    """Whatever sets a bit outside the signals is another layout, and its speeds may lie elsewhere too."""
+    """It is another layout, whose speeds may lie elsewhere."""
     evidence = StandstillEvidence()
     signals = load(variant).messages["Auto_WheelSpdFeedback"].signals
     used = {signal.start_bit + bit for signal in signals for bit in range(signal.length)}
@@ -137,7 +136,7 @@ def test_a_moving_robot_is_no_evidence(variant: Variant, speed_mps: float) -> No
 
 
 FRAMES = {"c": COARSE_STANDING, "f": FINE_STANDING, "m": wheels(Variant.COARSE, 1, 1)}
-"""Of a standing robot in either variant, and of one that moves."""
+"""A standing robot in either variant, and a moving one."""
 
 
 @pytest.mark.parametrize(
@@ -160,7 +159,7 @@ FRAMES = {"c": COARSE_STANDING, "f": FINE_STANDING, "m": wheels(Variant.COARSE, 
 def test_five_frames_in_a_row_decide(
     configured: Variant, frames: str, found: Variant, *, is_contradicted: bool, faults: int
 ) -> None:
-    """Each one that speaks for another variant is a fault; "-" is a reset."""
+    """Each frame of another variant is a fault; "-" is a reset."""
     detector = VariantDetector(configured, StandstillEvidence())
     seen = [detector.receive(FRAMES[one]) for one in frames if one in FRAMES]
     if frames.endswith("-"):

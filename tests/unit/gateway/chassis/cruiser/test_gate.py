@@ -37,7 +37,7 @@ class Bench:
         return self.maker.make(actuation, extras or [], known)
 
     def offer(self, frames: list[Frame], *, stopping: bool | None = None) -> str:
-        """Why they are refused; empty if they are admitted, and sent then. The first is a stop's unless said."""
+        """Why they are refused; empty if they are admitted and sent. By default only the first is a stop's."""
         self.now_ns += 10 * MS
         stopping = self.now_ns == 10 * MS if stopping is None else stopping
         fault = self.gate.admit(frames, self.variant, self.now_ns, stopping=stopping)

@@ -1,16 +1,13 @@
-"""The gate against a second statement of its rules, over its whole domain as far as a minute allows.
+"""The gate against a second statement of its rules, over as much of its domain as a minute allows.
 
-Exhausted here: every pattern of six of the eight frames, every value of every signal, all counters, all standard
+Exhausted: every pattern of six of the eight frames, every value of every signal, all counters, all standard
 identifiers, every speed and angle step, every combination of the discrete signals of two bursts. ``make nightly``
-exhausts the patterns of the other two frames, tries speeds far beyond the bound, every step of the fine
-ones, and takes every step through the gate as a whole.
+exhausts the other two frames, speeds far beyond the bound, every fine step, and takes every step through the gate.
 
-Not exhausted, and why what is tried suffices. Bits without a meaning are looked at through one mask, and a mask
-that lets no single bit pass lets no set of them pass. No rule relates speed, angle and pedal to one another
-beyond whether there is a speed and a pedal: all steps of one are tried with the others at rest, and the night
-tries values on both sides of every bound of each with those of all others. Of extended identifiers the gate
-knows eight by equality: their neighbours and their family are tried. Of the past the gate knows the burst
-before, the last counters and the times of twelve frames: random walks try them together.
+Sampled, with the reason: bits without a meaning pass through one mask, so single bits suffice. No rule relates
+speed, angle and pedal beyond their being zero, so the steps of each are tried with the others at rest, and by
+night on both sides of every bound. Eight extended identifiers are compared by equality, so neighbours and family
+suffice. Random walks combine the gate's memory: the previous burst, the last counters, the times of twelve frames.
 """
 
 from itertools import combinations, pairwise, product
@@ -55,15 +52,15 @@ ONE_SCALE = [one if one is Variant.COARSE else by_night(one) for one in SCALES]
 """By day."""
 
 FEW = 400
-"""Of the fine speeds, and of the angles, by day: many times what they may change in a step."""
+"""Fine speeds and angles by day: many times the largest step."""
 
 NEAR = 3_000
-"""Of the 2^16 raw speeds by day: beyond every bound."""
+"""Raw speeds by day, of 2^16: beyond every bound."""
 
 
 @pytest.mark.parametrize("identifier", SMALL)
 def test_every_pattern_of_a_frame(identifier: int) -> None:
-    """Of 2^13 to 2^21 patterns of the bits with a meaning one in 256 passes: that with its own checksum."""
+    """Of 2^13 to 2^21 patterns one in 256 passes: the one with its checksum."""
     words = patterns(identifier)
     assert wrong_checksums(identifier, words) == (len(words), 0)
 
@@ -77,7 +74,7 @@ def test_every_value_of_the_two_large_frames(identifier: int) -> None:
 
 @pytest.mark.parametrize("identifier", PICTURES)
 def test_one_and_two_wrong_bits(identifier: int) -> None:
-    """Every bit and every pair of the 64, with the checksum as it was and with the one that fits."""
+    """Every bit and every pair of the 64, with the old checksum and with the right one."""
     for base in (patterns(identifier)[0], patterns(identifier, without=".xc")[-1]):
         whole = base | checksum(base) << 56
         flips = [1 << first | 1 << second for first, second in combinations(range(64), 2)]
@@ -90,7 +87,7 @@ def test_one_and_two_wrong_bits(identifier: int) -> None:
 
 @pytest.mark.parametrize("identifier", PICTURES)
 def test_every_counter_after_every_counter(identifier: int) -> None:
-    """Of 16 x 16 only the next one passes, whatever else the frame says; the first may be any."""
+    """Only the next one of 16 passes; the first may be any."""
     for base in {0, patterns(identifier, without=".xc")[-1]}:
         for counter in range(16):
             word = base | counter << 52
@@ -101,7 +98,7 @@ def test_every_counter_after_every_counter(identifier: int) -> None:
 
 
 def _other_identifiers() -> set[int]:
-    """Of 2^32 words with flags: see the docstring of the test."""
+    """A selection of the 2^32 words with flags: see the test."""
     own = [identifier | EXTENDED for identifier in PICTURES]
     near = {can_id ^ 1 << first ^ 1 << second for can_id in own for first, second in product(range(32), repeat=2)}
     near |= {can_id + offset for can_id in own for offset in range(-300, 301)}
@@ -201,7 +198,7 @@ def test_the_rules_can_be_kept() -> None:
 @pytest.mark.parametrize("bursts", [4_000, by_night(10_000)])
 @pytest.mark.parametrize("variant", SCALES)
 def test_walks(variant: Variant, bursts: int) -> None:
-    """So many bursts in a row with pauses, parts, wrong bits and too many: every reason to refuse occurs."""
+    """Bursts with pauses, parts, wrong bits and too high a rate: every reason to refuse occurs."""
     walk = Walk(1, variant)
     for _ in range(bursts):
         walk.step()
