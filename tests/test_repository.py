@@ -30,13 +30,11 @@ pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relativ
 
 
 def prose(page: Path) -> str:
-    """The text of a page without its programs."""
     text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
     return re.sub(r"^    .*\n", "", text, flags=re.MULTILINE)
 
 
 def anchors(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -61,7 +59,6 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 
 
 def test_a_broken_link_would_be_found(tmp_path: Path) -> None:
-    """A missing file and a missing heading."""
     page = tmp_path / "page.md"
     page.write_text(
         "# A: b_c\n[1](no.md) [2](#no) [3](page.md#a-b_c) [4](https://x.example/)\n    [5](code)\n", "utf-8"

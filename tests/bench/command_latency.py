@@ -77,8 +77,6 @@ class Witness:
 
 
 class Driver:
-    """An operator on Zenoh."""
-
     def __init__(self, endpoint: str) -> None:
         self.session = open_session(ZenohSettings(mode="client"), [endpoint], [])
         self._states = self.session.declare_subscriber(f"{ROBOT}safety/state", zenoh.handlers.RingChannel(1))
@@ -101,7 +99,6 @@ class Driver:
         raise RuntimeError(f"no reply to {verb}")
 
     def prove(self, _verb: str, _payload: bytes) -> bytes | None:
-        """The attachment of a command; none in open mode."""
         return None
 
     def take(self) -> int:
@@ -135,7 +132,6 @@ class Driver:
         return put_s
 
     def get_going(self, speed_mps: float = SPEED_MPS) -> None:
-        """Reset, engage and drive at a steady speed."""
         overcome = {"no_lease", "not_engaged", "remote_stop"}
         until(lambda: self.look()["state"] == "standby" and set(self.state["blocked_by"]) <= overcome)
         self._lease, self._sequence = self.take(), 0

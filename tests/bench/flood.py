@@ -27,7 +27,6 @@ KEY: Final = "fleet/cruiser-1/@cmd/stranger/drive"
 
 
 def rows(floods: int) -> list[Row]:
-    """Floods with one remote stop in the middle of each."""
     random = Random(0)  # noqa: S311 - to hit every place between two ticks
     stop_us: list[float] = []
     rates: list[float] = []

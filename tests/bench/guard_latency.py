@@ -16,7 +16,6 @@ SIGNALS: Final = (signal.SIGKILL, signal.SIGSTOP)
 
 
 def rows(kills: int) -> list[Row]:
-    """Kill and hang a gateway at 2 m/s, beside an empty loop."""
     found: list[Row] = []
     for number in SIGNALS:
         with empty_loop() as empty:

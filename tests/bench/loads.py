@@ -24,7 +24,6 @@ def rows(seconds: float, vcan: str = "") -> list[Row]:
 
 
 def vcan_rows(seconds: float) -> list[Row]:
-    """Both loads on a vcan, if the kernel has one and we may make it."""
     with _vcan() as interface:
         return rows(seconds, interface) if interface else [("loads of a vcan", "no vcan here", "")]
 

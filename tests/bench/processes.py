@@ -59,7 +59,6 @@ class Load(msgspec.Struct, frozen=True):
 
 
 def quantile(values: list[float], share: float) -> float:
-    """The value below which this share of the sorted values lies."""
     return values[min(len(values) - 1, int(share * len(values)))] if values else float("nan")
 
 
@@ -147,7 +146,6 @@ def _watch(latency_us: list[float]) -> Any:  # noqa: ANN401 - Zenoh's own callba
 
 
 def served_chassis(stack: ExitStack, *words: str) -> str:
-    """Start a virtual chassis. Returns the address of its bus."""
     ready = start(stack, ["-m", "gateway", "sim", "--listen", "127.0.0.1:0", *words], "sim: ")[1]
     return "127.0.0.1:" + ready.partition("127.0.0.1:")[2].split()[0].rstrip(",;.")
 

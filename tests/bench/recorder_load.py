@@ -61,8 +61,6 @@ class Said(msgspec.Struct, frozen=True, gc=False):
 
 
 class Script(msgspec.Struct, frozen=True):
-    """A robot's samples, tick by tick."""
-
     subjects: list[str]
     slots: list[list[Said]]
 
@@ -156,7 +154,6 @@ def _said(sample: Sample, subject: int) -> Said:
 
 
 def appear(sessions: Sequence[zenoh.Session], robots: int) -> list[zenoh.LivelinessToken]:
-    """Declare the robots' tokens."""
     return [
         sessions[robot % len(sessions)].liveliness().declare_token(keys.liveliness(ROOT, _name(robot)))
         for robot in range(robots)

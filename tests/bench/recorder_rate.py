@@ -40,7 +40,6 @@ class Held(msgspec.Struct, frozen=True):
 
 
 def compare(rounds: int) -> dict[str, list[Run]]:
-    """Feed each receiver once a round, ours first or last in turns."""
     receivers = [OURS, *(kind for kind in WRITERS if kind != "foxglove" or has_foxglove())]
     runs: dict[str, list[Run]] = {receiver: [] for receiver in receivers}
     for number in range(rounds):

@@ -123,7 +123,6 @@ def _log_bytes(folder: Path) -> int:
 
 
 def _records(path: Path) -> int:
-    """Records of a log, without the writer's own."""
     own: set[int] = set()
     counts: dict[int, int] = {}
     with path.open("rb") as stream:
@@ -137,7 +136,6 @@ def _records(path: Path) -> int:
 
 @contextmanager
 def started(words: list[str], load_s: float, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that is killed when its time is over."""
     process = subprocess.Popen(
         words,
         stdin=subprocess.PIPE,

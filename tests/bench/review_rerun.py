@@ -35,12 +35,10 @@ def _figures(asked: Asked, minutes: float) -> str:
 
 
 def driven(minutes: float) -> bytes:
-    """A robot that is driven all the time, in bends, with a stop every minute."""
     return drive(round(minutes), 4)
 
 
 def alternating(minutes: float) -> bytes:
-    """A robot that is driven every other minute."""
     return drive(round(minutes / 2), 66)
 
 

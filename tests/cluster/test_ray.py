@@ -32,13 +32,11 @@ NAME = "cruiser-1-20260102T030405Z.mcap"
 
 
 def environment(home: Path) -> dict[str, str]:
-    """The environment of Ray's processes, without usage statistics."""
     return {**os.environ, "RAY_USAGE_STATS_ENABLED": "0", "HOME": str(home), "PATH": f"{RAY}:{os.environ['PATH']}"}
 
 
 @contextmanager
 def node(home: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A node and its processes, until the end."""
     common = ["--block", "--num-cpus", "1", "--object-store-memory", "100000000", "--disable-usage-stats"]
     with (home / f"{len(list(home.iterdir()))}.log").open("wb") as output:
         process = subprocess.Popen(
@@ -121,7 +119,6 @@ def review(
 
 
 def write_logs(directory: Path, count: int) -> None:
-    """Small logs of some robots, a quarter of an hour apart."""
     directory.mkdir()
     for number in range(count):
         robot, at_ns = f"cruiser-{number % ROBOTS}", WALL_NS + number // ROBOTS * 900 * SECOND

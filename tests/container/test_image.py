@@ -69,7 +69,6 @@ def test_every_service_is_what_compose_takes() -> None:
 
 @pytest.fixture(scope="module")
 def place() -> Iterator[Path]:
-    """A directory that every user can reach, unlike pytest's own."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder).chmod(0o755)
         yield Path(folder)

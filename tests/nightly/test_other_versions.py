@@ -51,7 +51,6 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
 
 @contextmanager
 def version(place: Path) -> Iterator[None]:
-    """Processes started meanwhile have the version of this directory."""
     before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
     os.environ.update(PYTHONPATH=str(place), PYTHONSAFEPATH="1")
     try:
@@ -88,7 +87,6 @@ def recording(endpoint: str, directory: Path) -> Iterator[list[Path]]:
 
 
 def ask(*words: str) -> tuple[int, str]:
-    """Run a command. Returns its exit code and output."""
     done = run(words)
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout + done.stderr
@@ -134,5 +132,4 @@ def test_versions_of_another_state_say_so_and_stop_all_the_same(tree: Tree, tmp_
 
 
 def topics(logs: Path) -> set[str]:
-    """The topics of a directory's logs, as this version reads them."""
     return {topic for path in logs.glob("*.mcap") for topic in counts(read_info(path))}

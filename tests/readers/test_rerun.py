@@ -32,8 +32,6 @@ DRAWN = {"double", "float", "bool", "string", "int64", "uint32"}  # Arrow types 
 
 
 class Logged(msgspec.Struct, frozen=True):
-    """A message as a reader sees it."""
-
     topic: str
     log_ns: int
     publish_ns: int
@@ -75,7 +73,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def by_mcap(path: Path) -> Iterator[Logged]:
-    """Messages as the mcap package reads them, with CRCs."""
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, message, content in reader.iter_decoded_messages():

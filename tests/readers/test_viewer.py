@@ -43,7 +43,6 @@ def viewer() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A drive that a bumper ended."""
     path = tmp_path_factory.mktemp("logs") / "a drive.mcap"
     path.write_bytes(recorded(front_bumper))
     return path

@@ -38,7 +38,6 @@ BUCKET: Final = "fleet-logs"
 
 @contextmanager
 def s3_server(port: int, scratch: Path) -> Iterator[None]:
-    """The server on a port of the loopback, with an empty bucket."""
     words = [PROGRAM, "-backend", "memory", "-host", f"127.0.0.1:{port}", "-initialbucket", BUCKET]
     with (scratch / "s3.log").open("ab") as said, subprocess.Popen(words, stdout=said, stderr=said) as server:
         try:
@@ -63,7 +62,6 @@ RATE = 40_000_000  # never the limit
 
 @pytest.fixture
 def port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """The port of a server with an empty bucket."""
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "test")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "testtest")
     port = int(free_endpoint().rpartition(":")[2])

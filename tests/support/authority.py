@@ -47,8 +47,6 @@ VERBS = [verb for verb in BY_VERB if verb != "stop"]
 
 
 class Party:
-    """A party with a key: an authority, an operator, a robot."""
-
     def __init__(self, name: str = "somebody") -> None:
         self.name = name
         self.private = Ed25519PrivateKey.generate()

@@ -48,8 +48,6 @@ Values = Mapping[str, int]  # raw values of a frame's signals, by their letters
 
 
 class Told(NamedTuple):
-    """The values of a burst."""
-
     enables: str
     gear: str
     angle_udeg: int
@@ -194,7 +192,6 @@ class Bus:
             self.before, self.before_ns = tuple(burst), now_ns
 
     def pause(self) -> None:
-        """Others may command."""
         self.before = ()
 
     def _identifier(self, frame: Frame) -> int | None:

@@ -11,7 +11,6 @@ from schemas.settings import Settings
 
 
 def parsed(command: ModuleType, *words: object) -> argparse.Namespace:
-    """These words, parsed by a command."""
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     return parser.parse_args([str(word) for word in words])
@@ -29,7 +28,6 @@ def run_command(
 
 
 def review(*words: object, is_stopped: bool = False) -> int:
-    """Run ``cruiser review``. Returns its exit code."""
     return run_command(review_command, *words, stopped=lambda: is_stopped)
 
 

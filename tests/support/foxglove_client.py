@@ -22,8 +22,6 @@ DEADLINE_S = 20.0
 
 
 class Advertised(NamedTuple):
-    """A channel that the server advertises."""
-
     topic: str
     encoding: str
     schema_name: str
@@ -63,7 +61,6 @@ class FoxgloveClient:
         return {channel.topic for channel in self.channels.values()}
 
     def subscribe(self, wanted: Callable[[str], bool] = lambda _topic: True) -> None:
-        """Subscribe to these topics, now and when they are advertised later."""
         self._wanted = wanted
         self._subscribe(self.channels)
 
@@ -77,7 +74,6 @@ class FoxgloveClient:
         self._socket.send(struct.pack("<BIII4s", SERVICE_CALL, service_id, 1, 4, b"json") + payload)
 
     def wait(self, is_there: Callable[["FoxgloveClient"], bool]) -> Self:
-        """Receive until this holds."""
         end_s = time.monotonic() + DEADLINE_S
         while not is_there(self):
             left_s = end_s - time.monotonic()
@@ -87,7 +83,6 @@ class FoxgloveClient:
         return self
 
     def receive_for(self, span_s: float) -> None:
-        """Receive for so long."""
         end_s = time.monotonic() + span_s
         while (left_s := end_s - time.monotonic()) > 0:
             with suppress(TimeoutError):

@@ -26,8 +26,6 @@ STANDING: dict[str, dict[str, Value]] = {
 
 
 class Feedback:
-    """Feedback frames of one variant with running alive counters."""
-
     def __init__(self, variant: Variant) -> None:
         self._encoder = Encoder(load(variant))
         self._alive = dict.fromkeys(STANDING, 0)

@@ -61,7 +61,6 @@ def facts(value: Any) -> Any:  # noqa: ANN401 - JSON
 
 
 def ask(*words: str) -> tuple[int, list[Any]]:
-    """Ask in the current directory. Returns exit code and the objects of the answer."""
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         code = main(["review", words[0], "--json", *words[1:]])
@@ -95,7 +94,6 @@ def rerun(*logs: str) -> dict[str, Any]:
 
 
 def verify(*logs: str) -> dict[str, Any]:
-    """With the authority that is stored beside the logs, if there is one."""
     authority = ["--authority", AUTHORITY] if Path(AUTHORITY).exists() else []
     return answered("verify", *authority, *logs)
 
@@ -177,7 +175,6 @@ def pretty(value: Any, indent: str = "\n") -> str:  # noqa: ANN401 - JSON
 
 
 def answer(name: str, question: str) -> str:
-    """Ask about a log in an empty directory."""
     with TemporaryDirectory() as directory, contextlib.chdir(directory):
         return pretty(QUESTIONS[question](*unpack(name, Path()))) + "\n"
 

@@ -82,14 +82,12 @@ def _argument(action: argparse.Action) -> str:
 
 
 def environment() -> Iterator[str]:
-    """Environment variables named in the code, besides those of the settings."""
     pattern = re.compile(r"\"((?:CRUISER|XDG)_[A-Z_]+|HOME|STATE_DIRECTORY|NOTIFY_SOCKET)\"")
     texts = [path.read_text(encoding="utf-8") for root in ROOTS for path in root.rglob("*.py")]
     yield from sorted({name for text in texts for name in pattern.findall(text)})
 
 
 def metrics() -> Iterator[str]:
-    """Every Prometheus metric with its type and labels."""
     for family in sorted(text_string_to_metric_families(full_exposition()), key=lambda family: family.name):
         labels = sorted({label for sample in family.samples for label in sample.labels})
         yield " ".join([family.samples[0].name, family.type, *labels])

@@ -53,7 +53,6 @@ WALL_S: Final = 1_700_000_000.0
 
 
 def received(message: Message, name: str = "", encoding: str = "") -> Received:
-    """A message of a robot or a recorder as it arrives."""
     subject = BY_TYPE[type(message)]
     if isinstance(message, RecorderHealth):
         key = keys.of_recorder(ROOT, name or "depot", subject.name)
@@ -67,7 +66,6 @@ def token(robot: str = ROBOT, *, present: bool = True) -> TokenChange:
 
 
 def fleet(*heard: Received | TokenChange, now_ns: int = START_NS) -> FleetMetrics:
-    """The metrics after all of this was received at the start."""
     metrics = FleetMetrics(ROOT, "1.2.3", certificate_ends_s=1_800_000_000)
     metrics.linked = True
     for one in heard:
@@ -97,7 +95,6 @@ def full_exposition() -> str:
 
 
 def queries() -> list[str]:
-    """The dashboard's queries with their variables filled in."""
     found: list[str] = []
 
     def visit(part: Any) -> None:  # noqa: ANN401 - any part of a JSON file
@@ -113,5 +110,4 @@ def queries() -> list[str]:
 
 
 def names_in(text: str) -> set[str]:
-    """Our metrics that rules or queries name."""
     return set(re.findall(r"\bcruiser_\w+", text))

@@ -23,13 +23,11 @@ READ: tuple[type[msgspec.Struct], ...] = (
 
 
 def newer(encoding: str, by: int = 1) -> str:
-    """The encoding of another version of the same schema."""
     name, _, version = encoding.rpartition("/")
     return f"{name}/{int(version) + by}"
 
 
 def with_new_fields(message: msgspec.Struct, **fields: object) -> bytes:
-    """The payload with unknown fields, or with other values."""
     values: dict[str, Any] = msgpack.unpackb(msgspec.msgpack.encode(message))
     payload: bytes = msgpack.packb(values | (fields or {"new_field": [1, {"new": True}]}))
     return payload
@@ -74,7 +72,6 @@ def with_new_word(message: msgspec.Struct, path: tuple[str, ...], word: str = NE
 
 
 def value_at(message: msgspec.Struct, path: tuple[str, ...]) -> Any:  # noqa: ANN401 - whatever the field holds
-    """The value at the end of a path; the last one of a list."""
     value: Any = message
     for name in path:
         value = getattr(value, name)
@@ -96,5 +93,4 @@ def grown_messages(draw: st.DrawFn) -> tuple[Subject, Message, tuple[str, ...]]:
 
 
 def is_new(value: object) -> bool:
-    """It is the newer version's value."""
     return isinstance(value, Enum) and value.value == NEW_WORD and value not in list(type(value))

@@ -27,7 +27,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def run(*words: str | Path) -> int:
-    """Run ``cruiser provision``. Returns its exit code."""
     arguments = _parser().parse_args(list(map(str, words)))
     flags = {key: value for key, value in vars(arguments).items() if "." in key and value is not None}
     return provision.run(arguments, load_settings(None, os.environ, flags), lambda: False)
@@ -57,7 +56,6 @@ class ProvisionedFleet:
         return file
 
     def sign(self, request: Path, *words: str, by: str = "authority") -> Path:
-        """The bundle that answers a request."""
         run("sign", request, "--directory", self.place / by, *words)
         return request.with_suffix(".bundle")
 

@@ -49,7 +49,6 @@ def logs_of(*paths: Path) -> list[LogFile]:
 
 
 def topic(name: str, kind: type[msgspec.Struct] = CanFrame) -> Topic:
-    """A topic of a file; another call gives that of another file."""
     channel = records.Channel(1, name, "protobuf", {}, 1)
     return topic_of(channel, records.Schema(1, descriptor_set(kind), "protobuf", schema_name(kind)))
 
@@ -73,7 +72,6 @@ def report_of(*paths: Path, faults: Faults | None = None) -> Report:
 
 
 def entry(kind: EntryKind, time_ns: int, text: str = "", **fields: Any) -> Entry:  # noqa: ANN401 - any field
-    """An entry about a robot at a time."""
     plain = Entry(
         time_ns=time_ns,
         last_ns=time_ns,

@@ -36,8 +36,6 @@ MESSAGES: Final = (
 
 
 class Zenohd:
-    """Zenoh's own router as a process, from a file, listening."""
-
     def __init__(self, file: Path, *words: str) -> None:
         self.process = subprocess.Popen([PROGRAM, "-c", str(file), *words], stdin=subprocess.DEVNULL)
         endpoints = json.loads(file.read_text("utf-8"))["listen"]["endpoints"]

@@ -163,7 +163,6 @@ def driven(fleet: Fleet, seconds: int = 6, **how: Any) -> tuple[SignedRun, Party
 
 
 def log_of(samples: Iterable[Message], *, late_ns: int = 2_000_000) -> bytes:
-    """The log of these samples, each received so much later."""
     log = Log()
     for message in samples:
         log.receive(sample_of(message), wall_ns=message.time_ns + late_ns)
@@ -171,7 +170,6 @@ def log_of(samples: Iterable[Message], *, late_ns: int = 2_000_000) -> bytes:
 
 
 def of(samples: Sequence[Message], kind: type[Message]) -> list[int]:
-    """The positions of the samples of a kind."""
     return [place for place, one in enumerate(samples) if type(one) is kind]
 
 
@@ -189,7 +187,6 @@ def recorder_of(fleet: Fleet, **changes: Any) -> LogSigner:  # noqa: ANN401 - fi
 
 
 def signed(log: Path, signer: LogSigner) -> Path:
-    """The log, signed by its recorder."""
     sha256 = hashlib.sha256(log.read_bytes()).hexdigest()
     log.with_name(log.name + SIGNATURE_SUFFIX).write_bytes(signer.sign(sha256, log.name))
     return log

@@ -56,7 +56,6 @@ class Site:
         )
 
     def show(self, session: zenoh.Session, text: str) -> StatementReply:
-        """Show the robot a statement until it answers."""
         replies: list[StatementReply] = []
 
         def answered() -> bool:

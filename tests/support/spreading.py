@@ -29,7 +29,6 @@ class Spreading(LoadScopeScheduling):  # type: ignore[misc]  # pytest-xdist has 
 
 
 def scope_of(nodeid: str, root: Path) -> str:
-    """The unit of work of a test."""
     file, _, _ = nodeid.partition("::")
     return nodeid if file.startswith(SYSTEM) and not _shares(root / file) else file
 

@@ -71,7 +71,6 @@ def plausible_payloads(draw: st.DrawFn, layout: MessageLayout) -> bytes:
 
 
 def with_checksum(data: bytes) -> bytes:
-    """The data with its right checksum."""
     checksum = 0
     for byte in data[:7]:
         checksum ^= byte
@@ -98,19 +97,16 @@ def message_of(kind: type[Message]) -> st.SearchStrategy[Message]:
 
 @st.composite
 def subjects_and_messages(draw: st.DrawFn) -> tuple[Subject, Message]:
-    """Any subject with any of its messages."""
     subject = draw(st.sampled_from(SUBJECTS))
     return subject, draw(message_of(subject.type))
 
 
 def any_of(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
-    """Any message, request or reply of this class."""
     return _values(inspect.type_info(kind))
 
 
 @st.composite
 def commands_and_requests(draw: st.DrawFn) -> tuple[Command, Request]:
-    """Any verb with any of its requests."""
     command = draw(st.sampled_from(COMMANDS))
     request: Request = draw(any_of(command.request))
     return command, request

@@ -24,7 +24,6 @@ def summed(lines: Iterable[str]) -> str:
 
 
 def main() -> int:
-    """Run the command. Returns its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # It is the command's, which says so.
     command = subprocess.Popen(
         sys.argv[1:], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"

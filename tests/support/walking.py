@@ -9,7 +9,6 @@ from recorder.mcap.reader import DamagedError, Fault, LoggedMessage, MessageBloc
 
 
 def walk(stream: BinaryIO, size: int) -> Iterator[Piece | LoggedMessage]:
-    """Read a whole file, every checksum verified."""
     for piece in read_pieces(stream, size):
         if isinstance(piece, PackedChunk):
             try:

@@ -65,8 +65,6 @@ def test_what_is_expected_stands_on_the_page() -> None:
 
 
 class Page:
-    """Machines and their processes."""
-
     def __init__(self, place: Path) -> None:
         self.place = place
         self.stick = place / "stick"
@@ -79,7 +77,6 @@ class Page:
         self.start("robot", f"cruiser sim --listen {self._chassis}", " on 127")
 
     def run(self, machine: str, command: str) -> None:
-        """Run a command at a terminal: it succeeds, and prints what it should."""
         export = re.fullmatch(r"export ([A-Z_]+)=(.+)", command)
         if export is not None:
             home = str(self._home(machine))
@@ -126,7 +123,6 @@ class Page:
         assert process.wait(TIMEOUT_S) == 0
 
     def end_all(self) -> None:
-        """Ctrl-C for all that still runs, the last first."""
         for process, _ in reversed(self._running):
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)

@@ -37,13 +37,11 @@ class Machine:
         )
 
     def program(self, name: str, text: str) -> None:
-        """A program that notes its calls."""
         path = self.root / "bin" / name
         path.write_text(f'#!/bin/sh\necho "{name} $*" >>"{self.calls}"\n{text}\n', "ascii")
         path.chmod(0o755)
 
     def run(self, script: str, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run a script of the package as dpkg does."""
         text = (SCRIPTS / script).read_text("utf-8")
         for place in ("/sys/class/net", "/run/", "/opt/cruiser"):
             text = text.replace(place, f"{self.root}{place}")
@@ -57,7 +55,6 @@ class Machine:
 
     @property
     def stopped(self) -> list[str]:
-        """The stopped services, in order."""
         calls = self.calls.read_text("ascii").splitlines()
         return [call.removeprefix("systemctl stop ") for call in calls if call.startswith("systemctl stop ")]
 

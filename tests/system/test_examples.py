@@ -24,7 +24,6 @@ SETTINGS = Settings(zenoh=ZenohSettings(connect=["{endpoint}"]))
 
 
 def run(name: str, fake: FakeRobot) -> subprocess.CompletedProcess[str]:
-    """Run a program against this robot."""
     program = (EXAMPLES / name).read_text("utf-8")
     program = program.replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
     words = [sys.executable, "-c", ELSEWHERE.format(endpoint=fake.listen) + program, fake.listen]

@@ -50,7 +50,6 @@ def surroundings(tmp_path: Path) -> dict[str, str]:
 
 
 def play(place: Path, surroundings: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run the script to its end."""
     return subprocess.run(
         [str(SCRIPT), str(place)],
         env=surroundings,

@@ -23,7 +23,6 @@ GROWS_BYTES = 30_000_000  # half of one such message
 
 
 def peak_bytes(pid: int) -> int:
-    """Peak memory of a process, Linux's VmHWM."""
     found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
     assert found is not None
     return int(found[1]) * 1024

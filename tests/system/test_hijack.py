@@ -74,7 +74,6 @@ class Neighbour:
         return found
 
     def state(self) -> dict[str, Any]:
-        """The robot's own newest safety/state."""
         own = [one for one in self.of("safety/state")[-50:] if one not in self.forged]
         return msgspec.msgpack.decode(own[-1])  # type: ignore[no-any-return]
 
@@ -89,7 +88,6 @@ class Neighbour:
         self.session.put(keys.build(ROOT, ROBOT, subject), payload, encoding=subject.encoding)
 
     def drive(self, lease: int, seq: int) -> None:
-        """Send a command under the holder's name with the newest challenge."""
         state = self.state()
         payload = msgspec.msgpack.encode(
             {
@@ -104,7 +102,6 @@ class Neighbour:
 
 
 def integers(value: Any) -> Iterator[int]:  # noqa: ANN401 - whatever MessagePack holds
-    """All integers in it."""
     match value:
         case int():
             yield value
@@ -177,7 +174,6 @@ def test_nobody_drives_under_the_holders_name_by_what_is_published_and_recorded(
 
 @contextmanager
 def driving() -> Iterator[tuple[Neighbour, Robot, Lease]]:
-    """A robot driven by its holder, and a neighbour."""
     endpoint = free_endpoint()
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
     with chassis() as (_, address), gateway(address, endpoint):

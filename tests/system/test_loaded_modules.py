@@ -64,7 +64,6 @@ class Probe:
         )
 
     def ended(self) -> dict[str, Any]:
-        """End it. Returns what it loaded."""
         self._process.terminate()
         self._process.wait(60)
         found: dict[str, Any] = json.loads(self._file.read_text("utf-8"))
@@ -72,7 +71,6 @@ class Probe:
 
 
 def among(names: list[str], unwanted: set[str]) -> set[str]:
-    """The names that are one of these, or below one."""
     return {one for one in names for name in unwanted if one == name or one.startswith(f"{name}.")}
 
 

@@ -236,7 +236,6 @@ class Newcomer:
         assert "Traceback" not in terminal.shows, (name, terminal.shows)
 
     def start(self, name: str, text: str, what: Start) -> None:
-        """Start it, and see that it works."""
         terminal = self._start(text)
         self._running[name] = (what, terminal)
         wait_until(lambda: bool(re.search(what.says, terminal.shows)) or terminal.process.poll() is not None)
@@ -250,7 +249,6 @@ class Newcomer:
         assert terminal.wait() == what.code, (name, terminal.shows)
 
     def end_all(self) -> None:
-        """Ctrl-C in every terminal, the last first."""
         self._await("")
         for name in reversed(list(self._running)):
             self.end(name)

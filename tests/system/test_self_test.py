@@ -81,7 +81,6 @@ class Fleet(ProvisionedFleet):
         return run(["why", ROBOT, "--config", str(self.operator_file)]).stdout
 
     def engages(self) -> None:
-        """The operator engages the robot, and releases it."""
         with self.connect() as robot:
             waits(robot)
             with robot.lease() as lease:

@@ -46,7 +46,6 @@ def running(site: Site) -> Iterator[Running]:
 
 @contextmanager
 def stranger(site: Site) -> Iterator[zenoh.Session]:
-    """A session of somebody on the network without a key."""
     session = open_session(ZenohSettings(), [site.endpoint], [])
     try:
         yield session
@@ -103,8 +102,6 @@ class Flood:
 
 
 def showing(forge: Callable[[], bytes]) -> Callable[[zenoh.Session], None]:
-    """A stranger shows the robot a forged statement."""
-
     def send(session: zenoh.Session) -> None:
         session.get(
             keys.authority(ROOT, ROBOT),
@@ -266,7 +263,6 @@ def test_states_that_somebody_repeats_are_not_believed(site: Site) -> None:
 
 
 def is_heard_since(robot: Robot, time_ns: int) -> bool:
-    """A believed state was published after this time."""
     try:
         return robot.state().state.time_ns > time_ns
     except Unreachable:

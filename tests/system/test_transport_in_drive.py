@@ -79,7 +79,6 @@ class SecuredSite(Site):
         self.connect_operator("ann", int(time.time()))
 
     def connect_operator(self, name: str, born_s: int) -> None:
-        """Give the operator a certificate."""
         node = self.network.node(TransportRole.OPERATOR, name, born_s=born_s)
         self.settings = msgspec.structs.replace(
             self.settings, zenoh=ZenohSettings(config=str(node / "operator.json5"))
@@ -88,7 +87,6 @@ class SecuredSite(Site):
 
 @contextmanager
 def running(site: SecuredSite) -> Iterator[tuple[Running, Listener]]:
-    """Router, chassis, gateway, and a witness on the bus."""
     with ExitStack() as stack:
         stack.enter_context(router_process(site.router_file))
         _, address = stack.enter_context(chassis())

@@ -43,14 +43,12 @@ def newer_schema(kind: type = SafetyEvent) -> FileDescriptorSet:
 
 
 def newer_event(number: int = 0) -> bytes:
-    """An event with a kind and a reason of a newer version."""
     told = message_class(SafetyEvent).FromString(compile_encoder(SafetyEvent)(event(number)))
     told.kind, told.reason = len(EventKind), len(Reason)  # type: ignore[attr-defined]  # made at run time
     return told.SerializeToString() + b"\x49" + bytes(8)  # Field 9, of 8 bytes.
 
 
 def schema_record(data: bytes, kind: type = SafetyEvent) -> records.Schema:
-    """A schema as it stands in a log."""
     return records.Schema(id=1, name=schema_name(kind), encoding="protobuf", data=data)
 
 

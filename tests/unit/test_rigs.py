@@ -14,7 +14,6 @@ def _goes_on(rig: GatewayRig, operator: Operator) -> tuple[object, ...]:
 
 
 def _driven_anew() -> tuple[GatewayRig, Operator]:
-    """As ``driving``, without a copy."""
     rig = GatewayRig(Variant.COARSE)
     rig.run(0.6)
     operator = Operator(rig)

@@ -57,8 +57,6 @@ class FakeGateway:
 
 
 def speech(*gateways: FakeGateway, says: Sequence[Message]) -> Callable[[], None]:
-    """Let each gateway publish all of these messages at each call."""
-
     def speak() -> None:
         for one in gateways:
             for message in says:

@@ -31,7 +31,6 @@ class FakeObjects:
 
     @property
     def requests(self) -> int:
-        """Number of requests without lists."""
         return len(self.ranges) + len(self.looks)
 
     def look(self, name: str) -> StoredObject | None:

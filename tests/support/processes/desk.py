@@ -62,13 +62,11 @@ class DeskScene:
         self._told_mps: list[float] = []
 
     def told_mps(self) -> list[float]:
-        """The commanded speeds so far, one per burst."""
         self._told_mps += map(self._speed, self.listener.bursts[len(self._told_mps) : -1])
         return self._told_mps
 
     @property
     def is_told_to_move(self) -> bool:
-        """The last command has a speed."""
         return bool(self.told_mps()) and self.told_mps()[-1] != 0
 
     def wait_told_zero(self) -> None:
@@ -113,7 +111,6 @@ def profile(browser: Browser, *harmless: str, **options: object) -> Iterator[Bro
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """The system's Chromium without a window."""
     sandbox = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=browser(), args=[*FLAGS, *sandbox])
@@ -136,7 +133,6 @@ def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str
 
 
 def is_ready(page: Page) -> bool:
-    """The page says that the robot waits for a driver."""
     return page.locator(".band .word", has_text="ready").is_visible()
 
 
@@ -177,7 +173,6 @@ def is_driven(page: Page) -> bool:
 
 
 def hold_pad(page: Page, forward: float = 0.8) -> None:
-    """Press the pointer on the pad and hold it."""
     box = page.locator(".pad").bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] * (1 - forward) / 2)

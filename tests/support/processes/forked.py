@@ -24,8 +24,6 @@ _CONTEXT.set_forkserver_preload([__name__, *(place.partition(":")[0] for place, 
 
 
 class Forked:
-    """A started command, with the names of ``subprocess.Popen``."""
-
     def __init__(self, words: Sequence[str], environment: Mapping[str, str]) -> None:
         self._words = list(words)
         # The fork server tells a code once: of two threads that read it, one would take its end for 255.
@@ -96,7 +94,6 @@ class Forked:
 def _run(
     words: list[str], environment: Mapping[str, str], directory: str, stdout: Connection, stderr: Connection
 ) -> None:
-    """Become that command, in the forked process."""
     os.chdir(directory)
     # Under nohup the tests ignore it; what they start is told by it to end.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)

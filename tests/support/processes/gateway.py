@@ -38,7 +38,6 @@ class Running:
         self.process.stderr.close()
 
     def wait_says(self, pattern: str) -> re.Match[str]:
-        """Wait for a line on stderr that matches."""
         found: list[re.Match[str]] = []
 
         def search() -> bool:

@@ -29,8 +29,6 @@ COMMANDS = {message.can_id: message.name for message in load(Variant.COARSE).com
 
 
 class Burst(msgspec.Struct):
-    """Command frames sent together, and the time of the first."""
-
     at_ns: int
     frames: list[Frame]
 
@@ -120,7 +118,6 @@ class Watched:
         self.process.send_signal(number)
 
     def guard_lives(self) -> bool:
-        """The guard's process is there, and no zombie."""
         try:
             status = Path(f"/proc/{self.guard}/stat").read_text(encoding="ascii")
         except FileNotFoundError:
@@ -132,7 +129,6 @@ class Watched:
 
     @property
     def late_ms(self) -> int:
-        """The latest tick of the stand-in, once it has ended."""
         return int(self._values("late_ms")[0])
 
     def close(self) -> None:

@@ -96,8 +96,6 @@ def ask(*words: str) -> tuple[int, str, str]:
 
 
 def link(peer: Peer, directory: Path) -> None:
-    """Publish until the recorder has opened its log."""
-
     def condition() -> bool:
         peer.put(FakeSample("fleet/cruiser-1/link", "zenoh/bytes", b""))
         return directory.exists() and bool(logs_in(directory))
@@ -129,7 +127,6 @@ def whole(directory: Path) -> list[Path]:
 
 
 def sequences(path: Path, topic: str) -> list[int]:
-    """Sequences of a topic in a whole file, as the mcap package reads it with all checksums."""
     reader = make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
     return [message.sequence for _, _, message in reader.iter_messages(topics=[topic])]
 

@@ -145,7 +145,6 @@ class ArbiterRig(Acted):
     def send(
         self, verb: str, payload: bytes, operator: str = "first", *, handle: int = 1, size: int | None = None
     ) -> Ruling:
-        """A request by its bytes. Returns its ruling."""
         length = len(payload) if size is None else size
         raw = RawRequest(handle, verb, operator, payload, length, credentials=self.credentials)
         self.before = self.state()
@@ -168,7 +167,6 @@ class ArbiterRig(Acted):
         return ruling
 
     def drive(self, speed_mps: float = 0.0, **fields: Any) -> Ruling:  # noqa: ANN401 - any field
-        """A drive command with the newest challenge."""
         self.sequence += 1
         own = {"seq": self.sequence, "challenge": 0, "speed_mps": speed_mps, "angle_deg": 0.0}
         return self.send("drive", msgspec.msgpack.encode(self.fields("drive", own | fields)), handle=0)
@@ -213,7 +211,6 @@ class ArbiterRig(Acted):
             self.tick()
 
     def _together(self, *words: str) -> None:
-        """Several requests in one tick, "+" between them."""
         raws = []
         for handle, one in enumerate(" ".join(words).split(" + ")):
             verb, *more = one.split()

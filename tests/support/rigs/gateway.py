@@ -127,7 +127,6 @@ class GatewayRig:
 
     @property
     def speed_mps(self) -> float:
-        """The robot's true speed, signed."""
         return self.chassis.state.speed_mps
 
     @property
@@ -150,7 +149,6 @@ class GatewayRig:
         self.chassis.inject(fault_line(text), self.now_ns)
 
     def put(self, operator: str, verb: str, payload: bytes) -> None:
-        """A put, judged in the next tick."""
         self._requests.append(RawRequest(0, verb, operator, payload, len(payload)))
 
     def query(self, operator: str, verb: str, payload: bytes) -> int:
@@ -169,7 +167,6 @@ class GatewayRig:
         self.tick(round(seconds * 100))
 
     def until(self, holds: Callable[[], bool], seconds: float = 5.0) -> None:
-        """Let time pass until this holds."""
         for _ in range(round(seconds * 100)):
             if holds():
                 return
@@ -327,8 +324,6 @@ class GatewayRig:
 
 
 class Operator:
-    """An operator with a lease."""
-
     def __init__(self, rig: GatewayRig, name: str = "first") -> None:
         self.rig = rig
         self.name = name
@@ -343,7 +338,6 @@ class Operator:
         return self.rig.query(self.name, verb, msgspec.msgpack.encode(fields))
 
     def reason(self, verb: str, **fields: object) -> Reason:
-        """Ask and let a tick pass. Returns the reply's reason."""
         handle = self.ask(verb, **fields)
         self.rig.tick()
         return self.rig.replies[handle].reason
@@ -363,7 +357,6 @@ class Operator:
         return reply.reason
 
     def drive_payload(self, speed_mps: float, angle_deg: float = 0.0, **fields: object) -> bytes:
-        """A drive command with the newest challenge."""
         self.sequence += 1
         made: dict[str, object] = {
             "lease": self.lease,

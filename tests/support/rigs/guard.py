@@ -118,7 +118,6 @@ class GuardRig:
         self.beat = msgspec.structs.replace(self.beat, is_closing=True)
 
     def poll(self) -> list[Frame]:
-        """One look of the guard. Returns what it sends."""
         before = len(self.sent)
         self.run(GUARD_POLL_NS / S)
         return [frame for _, frame in self.sent[before:]]

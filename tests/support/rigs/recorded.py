@@ -55,7 +55,6 @@ class RecordedRig(GatewayRig):
         return RecordedRig.beginning(self.at_ns + round(seconds * SECOND), self._run + 1)
 
     def rest(self) -> None:
-        """Let time pass until no commands are sent."""
         self.until(lambda: self.says.state is ArbiterState.STANDBY, 9)
         self.run(0.2)
 
@@ -146,13 +145,11 @@ def _driving(speed_mps: float, command: CommandSettings | None, run: int) -> tup
 
 
 def ask(path: Path, data: bytes, at_ns: int | None = None, robot: str = ROBOT) -> Explanation:
-    """Why, of a log with this content."""
     path.write_bytes(data)
     return ask_of([path], at_ns, robot)
 
 
 def ask_of(paths: Sequence[Path], at_ns: int | None = None, robot: str = ROBOT) -> Explanation:
-    """Why, of these logs."""
     faults = Faults()
     logs = find_logs(paths, faults)
     explainer = Explainer(robot, logs, survey(logs, faults), faults)

@@ -89,7 +89,6 @@ class RecorderRig:
         return [one for one in self.writer.said if isinstance(one, RecordGap)]
 
     def logs(self) -> dict[str, list[MemoryFile]]:
-        """The files of each log, without incidents."""
         return {log: files for log, files in self.writer.files.items() if not log.endswith(INCIDENT_MARK)}
 
 
@@ -105,6 +104,5 @@ def times(file: MemoryFile, topic: str = GEAR_KEY) -> list[int]:
 
 
 def metadata(file: MemoryFile, name: str) -> list[dict[str, str]]:
-    """The metadata records of a name, in order."""
     reader = make_reader(BytesIO(file.disk.getvalue()), validate_crcs=True)
     return [one.metadata for one in reader.iter_metadata() if one.name == name]

@@ -53,7 +53,6 @@ class Scenario(msgspec.Struct, frozen=True):
         return self.name
 
     def __call__(self) -> RecordedRig:
-        """Act it out."""
         return Script(self.script).rig
 
 
@@ -320,7 +319,6 @@ def acted(scenario: Scenario) -> RecordedRig:
 
 @cache
 def recorded(scenario: Scenario, *without: str) -> bytes:
-    """Its log, made once for all tests, without some subjects."""
     return acted(scenario).log(without=without)
 
 

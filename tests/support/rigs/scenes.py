@@ -41,7 +41,6 @@ def flipped(data: bytes, *bits: int) -> bytes:
 
 
 def spoilt(frame: Frame, how: str, *of: str) -> Frame | None:
-    """The frame after a fault on its way."""
     match how:
         case "zeros":
             return Frame(frame.can_id, bytes(8))
@@ -104,7 +103,6 @@ class Scene(Acted):
         self.rig.links = msgspec.structs.replace(GUARDED, **made)
 
     def bus(self, state: str) -> None:
-        """Lost, there again, or there again and silent."""
         self.links(f"bus_up:{int(state != 'lost')}", "bus_losses:1")
         self.rig.chassis_hears = state != "lost"
         self.rig.corrupt = lambda frame: frame if state == "again" else None
@@ -137,14 +135,12 @@ class Scene(Acted):
         self.rig.corrupt = corrupt
 
     def once(self, speed_mps: str, angle_deg: str = "0", late_ms: str = "0") -> None:
-        """A tick with a drive command, which begins so late."""
         self.rig.late_ns = int(late_ms) * MS
         self.rig.put(self.operator.name, "drive", self.operator.drive_payload(float(speed_mps), float(angle_deg)))
         self.rig.tick()
         self.rig.late_ns = 0
 
     def driven(self, speed_mps: str, *claim: str) -> None:
-        """Drive until this holds."""
         self.operator.drive(float(speed_mps))
         while not self.holds(*claim):
             self.operator.drive(float(speed_mps))
@@ -177,7 +173,6 @@ class Scene(Acted):
         assert " ".join(words) in self.said.replace(";", "|"), self.said
 
     def text(self, kind: str, *words: str) -> None:
-        """An event of this kind has this text."""
         texts = [event.text.replace(";", "|") for event in self.rig.events if event.kind is EventKind(kind)]
         assert any(" ".join(words) in text for text in texts), texts
 

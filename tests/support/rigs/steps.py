@@ -40,7 +40,6 @@ def value_of(name: str, text: str) -> Any:  # noqa: ANN401 - of any field
 
 
 def fields_of(words: tuple[str, ...]) -> dict[str, Any]:
-    """The words of the form "name:value"."""
     return {name: value_of(name, text) for name, _, text in (word.partition(":") for word in words) if text}
 
 
@@ -60,7 +59,6 @@ def near(value: float | None, wanted: str, within: float = 1e-6) -> bool:
 
 
 def rows(table: Mapping[str, str]) -> pytest.MarkDecorator:
-    """A test of each of these rows, under its name."""
     return pytest.mark.parametrize("row", list(table.values()), ids=list(table))
 
 

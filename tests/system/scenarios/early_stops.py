@@ -95,7 +95,6 @@ def told(name: str) -> str:
 
 
 def _step(plant: Plant, early: EarlyStop, now_ns: int, takes: tuple[int, int], number: int) -> list[Command]:
-    """Five milliseconds pass. Returns the burst, of which the bus may take a part."""
     for identifier, data in plant.step():
         early.chassis.receive(identifier | EXTENDED, data, now_ns)
     if early.is_needed(now_ns):

@@ -73,7 +73,6 @@ class Witness(Oracle):
 
 
 def _take_samples(played: Play) -> None:
-    """Take the samples of a tick."""
     witness, gateway = played.oracle, played.gateway
     assert isinstance(witness, Witness)
     samples, gateway.samples = gateway.samples, []
@@ -85,7 +84,6 @@ def _take_samples(played: Play) -> None:
 
 
 def _content(sample: Sample) -> str:
-    """The bytes that count, in hexadecimal digits."""
     if sample.subject not in LEFT_OUT:
         return sample.payload.hex()
     fields = msgspec.msgpack.decode(sample.payload)
@@ -139,7 +137,6 @@ def freeze(rows: Iterable[str]) -> None:
 
 
 def difference(row: str, before: str) -> str:
-    """The difference and what to do; empty if there is none."""
     name, *now = row.split()
     differing = [word for word, one, other in zip(COLUMNS, now, before.split()[1:], strict=True) if one != other]
     again = f"python -m tests.system.scenarios --lines {name}"

@@ -30,7 +30,6 @@ class Heard:
         self.unchanged_s = 0.0
 
     def receive(self, frames: list[CanFrame], now_s: float) -> None:
-        """Frames have arrived; damaged ones do not count."""
         for identifier, data in frames:
             if len(data) != 8 or data[7] != checksum(data):
                 continue
@@ -51,7 +50,6 @@ class Heard:
 
     @property
     def speed_mps(self) -> float:
-        """The greatest magnitude of drive and wheels."""
         drive, wheels = (self._payloads.get(identifier) for identifier in (DRIVE, WHEELS))
         speeds = [0.0] if drive is None else [int.from_bytes(drive[1:3], "little") * self._bit_mps]
         if wheels is not None:
@@ -66,7 +64,6 @@ class Heard:
         return body is None or body[5] & 3 == AUTO
 
     def greatest_mps(self, now_s: float) -> float:
-        """The greatest recent speed."""
         while self._lately and self._lately[0][0] < now_s - LATELY_S:
             self._lately.popleft()
         return max([self.speed_mps, *(speed_mps for _, speed_mps in self._lately)])

@@ -49,7 +49,6 @@ CanFrame = tuple[int, bytes]
 
 
 def checksum(data: bytes) -> int:
-    """XOR of the bytes before the last."""
     result = 0
     for byte in data[:7]:
         result ^= byte
@@ -184,7 +183,6 @@ class Plant:
 
     @property
     def motor_n(self) -> float:
-        """The motor's greatest force now."""
         return MOTOR_N * self.motor_strength * self.build.battery
 
     @property
@@ -229,12 +227,10 @@ class Plant:
         return self.build.mass_kg * needed < self.motor_n
 
     def reboot(self, seconds: float) -> None:
-        """The controller restarts: it forgets every command, and the motor is free meanwhile."""
         self._away_s = seconds
         self._commands.clear()
 
     def touch(self, side: str) -> None:
-        """An obstacle right at this bumper."""
         self.wall = (side, self.x_m)
         self._contact_s = 0.0
 
@@ -245,7 +241,6 @@ class Plant:
         self.mode, self.braked, self.gear = AUTO, False, gear
 
     def receive(self, identifier: int, data: bytes) -> None:
-        """A frame from the bus; damaged or unknown ones are dropped."""
         if not self.is_away and len(data) == 8 and data[7] == checksum(data):
             self._commands[identifier] = data
 

@@ -166,8 +166,6 @@ def _sent(samples: list[Sample]) -> list[tuple[int, bytes]]:
 
 
 class Guard:
-    """The guard's process."""
-
     def __init__(self, settings: CommandSettings) -> None:
         self._guardian = Guardian(CHASSIS, settings)
         self._beat: Beat | None = None
@@ -182,7 +180,6 @@ class Guard:
         return self._guardian.stops > 0
 
     def view(self, now_ns: int) -> GuardView:
-        """The guard, as the loop sees it."""
         status = self._guardian.status(now_ns, bus_up=True)
         return GuardView(status.is_ready, status.is_sending, status.stops)
 
@@ -254,7 +251,6 @@ class Operator:
         self._due_s = min(self._due_s, now_s + 0.3)
 
     def act(self, now_s: float) -> list[tuple[str, Fields]]:
-        """Requests to send now; called every 20 ms."""
         asked: list[tuple[str, Fields]] = []
         if not self.seen:
             return asked

@@ -94,7 +94,6 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_undisturbed(self) -> bool:
-        """Only single frames go wrong."""
         return not self.disturbances
 
 
@@ -169,7 +168,6 @@ def _freeze(random: Random) -> list[Act]:
 
 
 def _at(when: str, knob: str, value: object, after: object, lasts_s: float) -> Act:
-    """From such a moment on, for so long."""
     return Act(0, knob, value, lasts_s + SHOWS_S, when, (Act(lasts_s, knob, after),))
 
 

@@ -65,7 +65,6 @@ class Stage:
         enabled: int = 1,
         order: tuple[int, ...] = USUAL,
     ) -> Self:
-        """Send the five frames, or the first of them."""
         frames = orders(gear, speed_mps, fine=True)
         bodies = {PARKING_CMD: bytes([1, parking, 0]), STEERING_CMD: b"\x01" + raw_angle.to_bytes(2, "little")}
         sent = []
@@ -157,7 +156,6 @@ class Stage:
         return self
 
     def hears(self, identifier: int, *payload: int) -> Self:
-        """A damaged frame with a right checksum arrives."""
         data = bytes(payload)
         self.oracle.hears([(identifier, data + bytes([checksum(data)]))], self.now_s)
         return self

@@ -21,12 +21,10 @@ def alerts() -> list[str]:
 
 
 def expressions() -> str:
-    """The rules without annotations."""
     return re.sub(r"^ +(annotations:|#|- alert:).*$|^#.*$", "", RULES.read_text("utf-8"), flags=re.MULTILINE)
 
 
 def served() -> dict[str, set[str]]:
-    """The labels of each metric of the exporter."""
     found: dict[str, set[str]] = {}
     for family in text_string_to_metric_families(full_exposition()):
         for sample in family.samples:
