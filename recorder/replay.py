@@ -1,11 +1,11 @@
-"""A log published again on Zenoh, as the samples that it was made from.
+"""Replay of a log on Zenoh, as the samples that it was made from.
 
-A record of ours becomes its typed message and that its MessagePack payload, a RawSample the payload that it kept,
-frames of one batch a batch. Other makers' channels and lines for viewers never were samples, and are passed over.
-Every due time is counted from one anchor, so that nothing adds up. Memory is bounded, however long the logs are.
+Records become their typed messages and MessagePack payloads, a RawSample its original payload, frames of one batch
+a batch. Foreign channels and event lines never were samples, and are skipped. All due times are relative to one
+anchor, so that errors do not add up. Memory is bounded.
 
-Nothing is declared that a live robot has, no liveliness token and no queryable, and where a gateway is connected
-under the same root nothing is published.
+A replay declares no liveliness token and no queryable, and publishes nothing under the root of a connected
+gateway.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ from schemas.settings import BATCH_MAX_FRAMES, ZenohSettings
 from schemas.subjects import COMMAND_CHUNK, Subject
 from schemas.zenoh_session import GOSSIP, close_session, is_connected, join, local_port, open_session, said_of
 
-REMEMBERED: Final = 200_000
-"""Rows that are compared with those of other files: some four minutes of a robot. Twice as many are held."""
+REMEMBERED: Final = 200_000  # rows compared with those of other files, about four minutes; twice as many are held
 
 
 def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
@@ -48,13 +47,13 @@ def once(rows: Iterable[Row], remembered: int = REMEMBERED) -> Iterator[Row]:
                 before, seen = seen, {}
             seen[name] = topic
         elif first is not topic:
-            # Each file has topics of its own; what one file has twice was twice.
+            # Each file has its own topics; duplicates within one file are real.
             continue
         yield row
 
 
 def runs(rows: Iterable[Row]) -> Iterator[list[Row]]:
-    """Each row by itself, but raw frames that came in one batch together, at the place of the first."""
+    """Each row alone, but the raw frames of a batch together, at the place of the first."""
     pending: dict[Topic, list[Row]] = {}
     log_ns = -1
     for row in rows:
@@ -76,18 +75,11 @@ def runs(rows: Iterable[Row]) -> Iterator[list[Row]]:
     yield from pending.values()
 
 
-DEFAULT_ROOT: Final = "replay"  # the root of a replay, which nobody takes for a robot's
-
-_PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")
-"""A key that names one thing: a log may hold anything, and a wildcard would reach many."""
-
+DEFAULT_ROOT: Final = "replay"
+_PLAIN: Final = re.compile(r"[^/*$?#]+(/[^/*$?#]+)*")  # a key without wildcards
 _LAST_NS: Final = 2**63 - 1
-
-ENCODING_BYTES_MAX: Final = 255
-"""Zenoh takes no longer encoding: its session panics over one, and sends nothing from then on."""
-
-DELETED: Final = "deleted"  # the reason with which the recorder keeps a sample that deletes its key
-
+ENCODING_BYTES_MAX: Final = 255  # a longer encoding makes Zenoh's session panic, and stop sending
+DELETED: Final = "deleted"  # the recorder's reason for a RawSample that deletes its key
 MATCHES_KEPT: Final = 10_000
 
 Wants = Callable[[str], bool]  # reports whether a key of the log is wanted
@@ -113,12 +105,12 @@ def wants_of(texts: Sequence[str]) -> Wants:
 
 
 class ReplaySample(msgspec.Struct, frozen=True):
-    """A sample to be published again.
+    """A sample to publish.
 
     Attributes:
-        time_ns: when it is due, in the log's time.
+        time_ns: its due time, in the log's time.
         subject: its row in the table of subjects; None if it has none.
-        message: its content; None of a sample that was kept as it was, which has ``raw`` and ``attachment``.
+        message: its content; None of a RawSample, which has ``raw`` and ``attachment``.
     """
 
     time_ns: int
@@ -131,14 +123,14 @@ class ReplaySample(msgspec.Struct, frozen=True):
     is_delete: bool = False
 
     def payload(self, shift_ns: int = 0) -> bytes:
-        """The payload, with all its receive times so much later. A payload that nobody can read stays as it is."""
+        """The payload, with its times shifted; a RawSample's is unchanged."""
         if self.message is None:
             return self.raw
         return codec.encode(shifted(self.message, shift_ns) if shift_ns else self.message)
 
 
 def shifted(message: Message, shift_ns: int) -> Message:
-    """The message, so much later: its ``time_ns``, and those of the frames in it."""
+    """The message with its ``time_ns`` and those of its frames shifted."""
 
     def later(time_ns: int) -> int:
         return min(max(0, time_ns + shift_ns), _LAST_NS)
@@ -150,10 +142,10 @@ def shifted(message: Message, shift_ns: int) -> Message:
 
 
 class KeyMap:
-    """From the key in the log to the one under the replay's root.
+    """From the key in the log to the one under the replay's root; None if it must not be published.
 
-    The log's root is replaced. If the log has several, each stays, behind the new one: else two robots of the same
-    name would become one. A key under none of them is put behind the new root whole.
+    The log's root is replaced. If the log has several, each stays, behind the new one, to keep robots of the same
+    name apart.
     """
 
     def __init__(self, root: str, log_roots: Sequence[str]) -> None:
@@ -167,20 +159,20 @@ class KeyMap:
 
 
 def roots_of(topics: Iterable[Topic]) -> list[str]:
-    """The roots of the robots, and of the recorders, that topics are about."""
+    """The roots of the robots and recorders in topics."""
     ours = [keys.parse(topic.name) for topic in topics if topic.kind not in {None, RawSample}]
     return sorted({parts.root for parts in ours if parts is not None})
 
 
 def overlap(one: str, other: str) -> bool:
-    """Report whether one of two roots is the other, or begins it: what is under the longer is then under both."""
+    """Report whether one of two roots equals or contains the other."""
     shorter, longer = sorted((f"{one}/", f"{other}/"), key=len)
     return longer.startswith(shorter)
 
 
 def may_hold(topic: Topic, wants: Wants) -> bool:
     if topic.kind is RawSample:
-        # Its samples tell their keys; only of a broken one of a known key the topic does too.
+        # The samples have their own keys; only the topic of undecodable samples of a known key names it.
         key = topic.name.removesuffix(f"/{RAW_CHUNK}")
         return key == topic.name or wants(key)
     return _subject_of(topic) is not None and wants(topic.name)
@@ -190,8 +182,7 @@ class Samples:
     """Makes samples of runs of rows.
 
     Attributes:
-        withheld: samples that must not be published: commands, keys that name more than one thing,
-            and what has an encoding that is too long for Zenoh.
+        withheld: number of samples not to be published: commands, wildcard keys, too long encodings.
     """
 
     def __init__(self, new_key: KeyMap, wants: Wants, faults: Faults) -> None:
@@ -265,7 +256,7 @@ def batch(frames: Sequence[CanFrame], sequence: int) -> CanFrames:
 
 
 def _subject_of(topic: Topic) -> Subject | None:
-    """The row of the table that a topic's messages are of; None if key and schema do not fit, or are not ours."""
+    """The subject of a topic; None if key and schema do not match, or are foreign."""
     parts = keys.parse(topic.name)
     if parts is None:
         return None
@@ -273,28 +264,16 @@ def _subject_of(topic: Topic) -> Subject | None:
     return parts.subject if topic.kind is recorded else None
 
 
-AS_FAST_AS_POSSIBLE: Final = 0.0  # the speed that waits for nothing
-FOR_EVER: Final = 0  # the number of loops that never ends
+AS_FAST_AS_POSSIBLE: Final = 0.0  # a speed
+FOR_EVER: Final = 0  # a number of loops
 LONGEST_PAUSE_NS: Final = 60_000_000_000  # a longer pause of the log is cut to this
-
-SET_BACK_NS: Final = 1_000_000_000
-"""A message that is further behind in the log's time was received by a clock that had been set back."""
-
-SLIP_NS: Final = 1_000_000_000
-"""A process that stood still for longer (Ctrl-Z, a machine that slept) resumes from there, without a burst."""
-
-ATTEND_NS: Final = 20_000_000  # the period in which the outlet is looked after
+SET_BACK_NS: Final = 1_000_000_000  # a greater step back of the log's time means that the clock was set back
+SLIP_NS: Final = 1_000_000_000  # after a longer standstill (Ctrl-Z, sleep) the replay resumes without a burst
+ATTEND_NS: Final = 20_000_000  # period of the outlet's ``attend``
 
 
 class Pace:
-    """From the log's time to the clock's. Due times never step back.
-
-    Args:
-        speed: so many times as fast as recorded; AS_FAST_AS_POSSIBLE makes everything due at once.
-
-    Attributes:
-        cut: pauses that were cut.
-    """
+    """From the log's time to the clock's. Due times never step back. ``cut`` counts shortened pauses."""
 
     def __init__(self, speed: float) -> None:
         self.speed = speed
@@ -308,11 +287,11 @@ class Pace:
         self._latest_ns = None
 
     def delay(self, duration_ns: int) -> None:
-        """All that is not due yet is due so much later."""
+        """Delay all further due times."""
         self._anchor_ns += duration_ns
 
     def due_ns(self, time_ns: int) -> int:
-        """Return the due time of a log time. To be called in the order of the log, once for each item."""
+        """The due time of a log time. To be called once for each item, in order."""
         if self._latest_ns is None:
             self._anchor_time_ns = self._latest_ns = time_ns
         step_ns = time_ns - self._latest_ns
@@ -331,21 +310,21 @@ class Outlet(Protocol):
     """The destination of a replay."""
 
     def send(self, item: ReplaySample, shift_ns: int) -> None:
-        """Send one. Its time stamps become so much later. Never raises."""
+        """Send a sample with shifted time stamps. Never raises."""
 
     def attend(self) -> CommandError | None:
-        """Look after what else there is. Returns why it cannot go on."""
+        """Do regular checks. Returns the reason to end the replay, if any."""
 
 
 class Played(msgspec.Struct):
     """The course of a replay.
 
     Attributes:
-        loops: number of times that it was begun.
+        loops: number of starts.
         late_ns: the greatest lateness of a sample, if it is paced.
-        slipped_ns: by how much the whole has been put off, as it could not keep up: see SLIP_NS.
+        slipped_ns: the total delay; see SLIP_NS.
         has_ended: it reached the end.
-        halt: why it could not go on.
+        halt: why it had to stop.
     """
 
     loops: int = 0
@@ -364,11 +343,7 @@ def play(
     loops: int = 1,
     is_now: bool = False,
 ) -> Played:
-    """Play to the end, or until stopped.
-
-    Args:
-        is_now: every time stamp is moved by what lies between the log's time and the present.
-    """
+    """Play to the end, or until stopped. ``is_now`` shifts the time stamps to the present."""
     played = Played()
     epoch_ns = time.time_ns() - time.monotonic_ns()
     attend_ns = due_ns = 0
@@ -377,7 +352,7 @@ def play(
         item = next(items, None)
         if item is None:
             break
-        # What it took to find the beginning is no lateness. What was late makes the next round no later.
+        # Reading the beginning is no lateness. Lateness does not delay the next round.
         pace.start(due_ns if played.loops else time.monotonic_ns())
         played.loops += 1
         while item is not None:
@@ -408,26 +383,23 @@ def play(
 log = logging.getLogger(__name__)
 
 TOKENS_WAITING: Final = 10_000
-
-TOKEN_TIMEOUT_S: Final = 1.0  # the start asks for gateways for so long
-
+TOKEN_TIMEOUT_S: Final = 1.0  # of the search for gateways at the start
 POLL_S: Final = 0.02
 
 
 class ZenohOutlet:
-    """A session that publishes samples, from its beginning to ``close``.
+    """A session that publishes samples until ``close``.
 
-    Where it is said where to listen, and nowhere to connect, it is a network of its own: who connects there shall
-    not see live robots beside those of the log.
+    With endpoints to listen on and none to connect to, it is a separate network: its viewers must not see live
+    robots.
 
     Args:
         root: the beginning of every key.
-        waits: a subscriber that is too slow holds the replay up, instead of losing samples.
+        waits: a slow subscriber delays the replay, instead of losing samples.
 
     Attributes:
-        listen: where others are to connect; empty if nothing is said of it.
-        sent: samples that Zenoh took; ``failed`` those that it did not.
-        was_alone: for a while nobody was connected.
+        sent, failed: samples that Zenoh accepted, and that it did not.
+        was_alone: at times no node was connected.
     """
 
     def __init__(self, settings: ZenohSettings, root: str, *, waits: bool) -> None:
@@ -437,7 +409,7 @@ class ZenohOutlet:
         self._congestion = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
         _, connect, self.listen, _ = said_of(settings)
         if self.listen and not connect:
-            # It connects to nobody of itself, and tells no node that connects to it of another.
+            # It connects to no node, and does not introduce its nodes to each other.
             self._session = open_session(settings, [], self.listen, changes={GOSSIP: False})
         else:
             self._session = join(settings, self.listen or local_port(settings))
@@ -448,12 +420,12 @@ class ZenohOutlet:
         )
 
     def wait_for_link(self, timeout_s: float, stopped: Callable[[], bool]) -> bool:
-        """Wait until somebody is connected. False if nobody is in time."""
-        # Zenoh lists no clients; that one of them subscribes is all that is known of it.
+        """Wait for a connected node. False after the timeout."""
+        # Zenoh does not list clients: only their subscriptions show.
         return self._wait(lambda probe: is_connected(self._session) or _matches(probe), timeout_s, stopped)
 
     def wait_for_subscriber(self, timeout_s: float | None, stopped: Callable[[], bool]) -> bool:
-        """Wait for somebody who wants what will be published, as long as need be if the time is None."""
+        """Wait for a subscriber; without a timeout if it is None."""
         return self._wait(_matches, timeout_s, stopped)
 
     def _wait(
@@ -471,7 +443,7 @@ class ZenohOutlet:
             probe.undeclare()
 
     def find_gateway(self) -> CommandError | None:
-        """Ask for gateways. The refusal if there is one under the root."""
+        """Search for gateways. Returns the refusal if there is one under the root."""
         for reply in self._session.liveliness().get(keys.ANY_TOKEN, timeout=TOKEN_TIMEOUT_S):
             if reply.ok is not None:
                 self._gateways.add(str(reply.ok.key_expr))
@@ -494,12 +466,12 @@ class ZenohOutlet:
                 publisher.put(item.payload(shift_ns))
         except (zenoh.ZError, ValueError) as error:
             self.failed += 1
-            log.debug("Zenoh did not take a sample of %s: %s", item.key, error)
+            log.debug("cannot publish a sample of %s: %s", item.key, error)
         else:
             self.sent += 1
 
     def attend(self) -> CommandError | None:
-        """Look out for gateways. Why the replay must end, if one has come."""
+        """Check for gateways. Returns the reason to end the replay, if one has connected."""
         while (token := self._tokens.try_recv()) is not None:
             key = str(token.key_expr)
             if token.kind == zenoh.SampleKind.PUT:
@@ -527,14 +499,14 @@ class ZenohOutlet:
             # ROOT/ROBOT/gateway
             if overlap(key.rsplit("/", 2)[0], self._root):
                 return CommandError(
-                    f"the gateway of a robot is connected under this root, {key}: what is replayed would be taken "
-                    "for that robot; choose another --root",
+                    f"a gateway is connected under this root, {key}: the replay would be mistaken for that robot; "
+                    "choose another --root",
                     ExitCode.REFUSED,
                 )
         return None
 
 
 def _matches(publisher: zenoh.Publisher) -> bool:
-    # The package's own annotation says that it is a bool.
+    # The package annotates it as a bool.
     status = publisher.matching_status
     return bool(getattr(status, "matching", status))

@@ -1,11 +1,10 @@
 """Robots live in Foxglove and Lichtblick: the channels and records that a log would have, for viewers.
 
-``ViewServer`` is the WebSocket server of foxglove-sdk. It has no capability, so it refuses what viewers publish,
-call or set, with a status message. Records wait for each viewer in a ring of its own; of one who is too slow the
-oldest go.
+``ViewServer`` is the WebSocket server of foxglove-sdk. It has no capability: it refuses anything that viewers
+publish, call or set, with a status message. Each viewer has a ring of records, which drops the oldest.
 
-What nobody looks at is not decoded. What comes seldom (events, decisions, who a robot is) is declared before it
-comes, so that viewers have subscribed by then, and the newest of it is shown to those who come later.
+Channels without subscribers are not decoded. Channels of rare messages (events, decisions, gateway infos) are
+declared in advance, so that viewers can subscribe in time; later viewers get the newest message.
 """
 
 from __future__ import annotations
@@ -42,36 +41,34 @@ from schemas.messages import GatewayInfo, Message
 from schemas.settings import ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
-RECORDS_WAITING: Final = 2048
-"""Records that wait for a viewer; beyond it the oldest go. A saturated bus has 375 frames in a batch."""
-
+RECORDS_WAITING: Final = 2048  # of a viewer's ring; a batch of a saturated bus has 375 frames
 SUBSCRIPTIONS_WAITING: Final = 10_000
 
 
 class _Subscriptions(ServerListener):
-    """Remembers which channels somebody has just subscribed to. Called on the server's threads."""
+    """Stores the channels of new subscriptions. Called on the server's threads."""
 
     def __init__(self) -> None:
         self.channels: deque[int] = deque(maxlen=SUBSCRIPTIONS_WAITING)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the SDK's form
-        """Remember it; the loop asks for it."""
+        """Store the channel for the loop."""
         self.channels.append(channel.id)
 
 
 class ViewServer:
-    """A server of viewers. No method waits for one of them. Ends at the end of a ``with``.
+    """A server for viewers; a context manager. No method waits for a viewer.
 
     Args:
         port: 0 is a free one.
         certificate: the files of a chain and its key, PEM; without them there is no TLS.
 
     Attributes:
-        where: its address, as it is typed into a viewer.
+        where: its address for viewers.
     """
 
     def __init__(self, name: str, host: str, port: int, certificate: tuple[Path, Path] | None = None) -> None:
-        # Its lines are about what viewers send; they are told themselves.
+        # Its log lines are about viewers' mistakes, which the viewers are shown themselves.
         logging.getLogger("foxglove").setLevel(logging.ERROR)
         self._context = foxglove.Context()
         self._channels: dict[int, foxglove.Channel] = {}
@@ -91,7 +88,6 @@ class ViewServer:
                 tls_key=key,
             )
         except RuntimeError as error:
-            # It has no other exception.
             text = plain(str(error).removeprefix("FoxgloveError: "))
             raise CommandError(
                 f"cannot listen on {shown_address(host, port)}: {text}", ExitCode.UNREACHABLE
@@ -129,7 +125,7 @@ class ViewServer:
                 yield channel_id
 
     def warn(self, about: str, text: str) -> None:
-        """Show a warning to all viewers, in place of an earlier one about the same."""
+        """Show a warning to all viewers; it replaces an earlier one about the same."""
         self._server.publish_status(text, StatusLevel.Warning, about)
 
     def clear(self, about: str) -> None:
@@ -137,7 +133,7 @@ class ViewServer:
 
 
 def _read(chain: Path, key: Path) -> tuple[bytes, bytes]:
-    """A certificate chain and its key, the key in the form that the SDK reads."""
+    """A certificate chain and its key, in the forms of the SDK."""
     files = f"{plain(str(chain))} and {plain(str(key))}"
     try:
         found = chain.read_bytes()
@@ -146,26 +142,21 @@ def _read(chain: Path, key: Path) -> tuple[bytes, bytes]:
     except (OSError, TypeError, ValueError) as error:
         raise CommandError(f"{files} are no certificate with its key: {error}", ExitCode.USAGE) from error
     if private.public_key() != certificate.public_key():
-        raise CommandError(f"{files} do not belong together", ExitCode.USAGE)
+        raise CommandError(f"{files} do not match", ExitCode.USAGE)
     return found, private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-SAMPLE_MAX_BYTES: Final = 1 << 20
-"""A larger sample is left out. Robots' routers let none pass either (``docs/authority.md``)."""
-
-SILENT_NS: Final = 1_000_000_000
-"""A robot of which nothing came for so long is silent: its state is published at 20 Hz."""
+SAMPLE_MAX_BYTES: Final = (
+    1 << 20
+)  # larger samples are left out; robots' routers block them too (docs/authority.md)
+SILENT_NS: Final = 1_000_000_000  # a robot without samples for this long is silent: states come at 20 Hz
 
 _SELDOM: Final = (SafetyEvent, Decision)
 _SHOWN_LATER: Final = frozenset({SafetyEvent, GatewayInfo})
 
 
 class LiveChannels:
-    """The channels of what robots say.
-
-    Attributes:
-        left_out: samples that were too large to be shown.
-    """
+    """The channels of robots' samples; ``left_out`` counts samples that are too large."""
 
     def __init__(self, viewers: ViewServer, version: str) -> None:
         self.left_out = 0
@@ -173,10 +164,10 @@ class LiveChannels:
         self._channels = Channels(viewers.declare)
         self._robots = Robots("", version)
         self._received_ns: dict[str, int] = {}
-        """The last time that something of a robot came, monotonic, by its name; of at most ROBOT_LIMIT."""
+        """Monotonic time of each robot's last sample, of at most ROBOT_LIMIT robots."""
         self._changed: deque[RobotKeys] = deque(maxlen=ROBOT_LIMIT)
         self._newest: dict[int, tuple[int, bytes]] = {}
-        """Log time and data of the newest record of what is shown to those who come later, by channel."""
+        """Log time and data of the newest record of each rare channel."""
 
     @property
     def robots(self) -> frozenset[str]:
@@ -186,7 +177,7 @@ class LiveChannels:
         return frozenset(name for name, at_ns in self._received_ns.items() if now_ns - at_ns > SILENT_NS)
 
     def changed_robots(self) -> Iterator[RobotKeys]:
-        """The robots that are new since the last call, or whose bus is known since."""
+        """The robots that are new since the last call, or whose bus has become known."""
         while self._changed:
             yield self._changed.popleft()
 
@@ -194,7 +185,7 @@ class LiveChannels:
         return self._robots.queries(now_ns)
 
     def receive(self, sample: ReceivedSample, now_ns: int) -> None:
-        """Show a sample. It may hold anything: nothing in it raises."""
+        """Show a sample; nothing in it raises."""
         if len(sample.payload) + len(sample.attachment) > SAMPLE_MAX_BYTES:
             self.left_out += 1
             return
@@ -215,7 +206,7 @@ class LiveChannels:
         self._act_on(sample.key, message, route, log_ns)
 
     def show_newest(self, channel_id: int) -> None:
-        """Send the newest record of a channel again, if it comes seldom: somebody has just subscribed to it."""
+        """Send the newest record of a rare channel to a new subscriber."""
         newest = self._newest.get(channel_id)
         if newest is not None:
             self._viewers.write(channel_id, *newest)
@@ -259,14 +250,14 @@ def _robot_of(key: str) -> str:
     return parts.robot if parts is not None else key
 
 
-PASS_SAMPLES: Final = 1000  # samples of a subject between two ticks at most
+PASS_SAMPLES: Final = 1000  # most samples of a subject between two ticks
 TICK_NS: Final = 50_000_000  # pause between two ticks
-WARN_NS: Final = 1_000_000_000  # a warning is repeated so often, for viewers who came after it
-IDLE_S: Final = 0.01  # pause when nothing has come in
+WARN_NS: Final = 1_000_000_000  # period of a warning, for new viewers
+IDLE_S: Final = 0.01  # pause without samples
 
 
 class ViewLoop:
-    """Shows samples to viewers, and greets a robot that is new, or whose bus is known since."""
+    """Shows samples to viewers, and calls ``greet`` for a new robot, and when its bus becomes known."""
 
     def __init__(
         self, source: ZenohSource, server: ViewServer, channels: LiveChannels, greet: Callable[[RobotKeys], None]
@@ -302,7 +293,7 @@ class ViewLoop:
         self._warn_of_silence(now_ns)
 
     def _warn_of_silence(self, now_ns: int) -> None:
-        """Viewers go on showing the last values: they are told that these are not current."""
+        """Warn viewers, which go on showing the last values, that a robot is silent."""
         before, self._silent = self._silent, self._channels.silent(now_ns)
         for robot in before - self._silent:
             self._server.clear(robot)
@@ -310,4 +301,4 @@ class ViewLoop:
         if is_due:
             self._warned_ns = now_ns
         for robot in self._silent if is_due else self._silent - before:
-            self._server.warn(robot, f"{robot} is silent: what is shown of it is not current")
+            self._server.warn(robot, f"{robot} is silent: its values are out of date")

@@ -1,4 +1,4 @@
-"""The catalogs of directories, brought up to date before a question about them is answered."""
+"""The catalogs of directories, brought up to date before they are read."""
 
 from __future__ import annotations
 
@@ -26,17 +26,13 @@ def catalog_rows(
     stopped: Callable[[], bool],
     kept: Path | None = None,
 ) -> pa.Table:
-    """Return the rows of all logs of these places, each with its path or address as its file.
-
-    Raises:
-        CommandError: a place cannot be read, or there is no log in any.
-    """
+    """The rows of all logs of these places, with path or address as their file; CommandError without any log."""
     places = list(dict.fromkeys(places))
     if kept is not None and (len(places) > 1 or not isinstance(places[0], Path)):
-        raise CommandError("--catalog keeps the logs of one directory here", ExitCode.USAGE)
+        raise CommandError("--catalog needs exactly one local directory", ExitCode.USAGE)
     catalogs = [_opened(place, columns, settings, kept) for place in places]
     total = sum(one.stale_bytes for one in catalogs)
-    # Each log has a time of its own: one that was made to take long keeps no other out.
+    # Each log has its own time limit: a malicious one must not delay the others.
     with progress_bar("cataloguing", total, stopped, is_bounded=False) as progress:
         for one in catalogs:
             one.refresh(faults, progress, in_time)
@@ -44,13 +40,13 @@ def catalog_rows(
         for note in one.notes:
             sys.stderr.write(f"cruiser review: {note}\n")
         for path in one.being_written:
-            sys.stderr.write(f"cruiser review: {plain(str(path))} is being written, and not in the answer yet\n")
+            sys.stderr.write(f"cruiser review: {plain(str(path))} is being written, and not included yet\n")
     rows = pa.concat_tables([_with_paths(place, one.table) for place, one in zip(places, catalogs, strict=True)])
     if not rows.num_rows and not faults:
         raise CommandError(f"there is no log in {', '.join(map(_shown, places))}")
     damaged = sum(count > 0 for count in rows.column("faults").to_pylist())
     if damaged:
-        faults.add(f"{damaged} of {rows.num_rows} logs are damaged, or not whole: 'find logs' marks them")
+        faults.add(f"{damaged} of {rows.num_rows} logs are damaged or unfinished: 'find logs' marks them")
     return rows
 
 
@@ -67,7 +63,7 @@ def _shown(place: Place) -> str:
 
 
 def _with_paths(place: Place, rows: pa.Table) -> pa.Table:
-    """The same, with each file as a path or an address."""
+    """The rows with each file as a path or an address."""
     names = rows.column("file").to_pylist()
     paths = [str(place / name) if isinstance(place, Path) else place.join(name).url for name in names]
     return rows.set_column(rows.schema.get_field_index("file"), "file", pa.array(paths, pa.string()))

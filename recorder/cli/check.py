@@ -1,4 +1,4 @@
-"""``cruiser review check``: whether logs are what they say, and what they lack."""
+"""``cruiser review check``: faults of log files, and losses of data."""
 
 from __future__ import annotations
 
@@ -22,26 +22,22 @@ if TYPE_CHECKING:
 
 EXAMPLE: Final = "  cruiser review check logs\n  cruiser review check --json logs/cruiser-1-20260102T030405Z.mcap"
 DESCRIPTION: Final = (
-    "Reads every byte of logs and verifies checksums, the heads of chunks, indexes, statistics, the order of log "
-    "times, schemas, and every message against its schema. Then looks for losses: samples by the gaps in their "
-    "sequences, raw frames by their checksums and alive counters, and what the recorder says that it could not "
-    "write. Each finding is about the file or about the data in it. For several logs, the last lines list the "
-    "samples that none of them holds. Exit code 1 if there is any finding, 3 if a file takes too long to read."
+    "Reads every byte of logs and verifies checksums, the heads of chunks, indexes, statistics, the order of "
+    "log times, schemas, and every message against its schema. Then looks for losses: samples by the gaps in "
+    "their sequences, raw frames by their checksums and alive counters, and losses reported by the recorder. "
+    "Each finding is about the file or about the data in it. For several logs, the last lines list samples "
+    "missing in all of them. Exit code 1 if there is any finding, 3 if a file takes too long to read."
 )
-JSON_HELP: Final = "print a JSON object a line, one for each file, and of several one for what is in none of them"
+JSON_HELP: Final = "print a JSON object a line, one for each file, and one for samples missing in all of several"
 
-
-TOPICS_SHOWN: Final = 3
-"""Of what is found on more topics, or of more frames, so many are named; ``--json`` names all."""
+TOPICS_SHOWN: Final = 3  # topics or frames named for one kind of finding; ``--json`` names all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help=JSON_HELP)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Check each file."""
     with needing_extra():
         from recorder.review.check import check_log  # noqa: PLC0415 - a robot has no numpy
         from recorder.review.checking import between  # noqa: PLC0415 - the same
@@ -67,7 +63,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _missing(found: Sequence[Between]) -> Iterator[str]:
-    """Yield what is in none of several logs as lines for people."""
+    """The samples missing in all logs, as lines for people."""
     yield f"between the logs:{'' if found else ' no loss detected'}"
     for one in found:
         place = f"between {in_words(one.from_ns)} and {in_words(one.to_ns)}"
@@ -76,7 +72,7 @@ def _missing(found: Sequence[Between]) -> Iterator[str]:
 
 
 def describe(found: LogCheck) -> Iterator[str]:
-    """Yield the findings about a log as lines for people."""
+    """The findings about a log, as lines for people."""
     about_file = [one for one in found.findings if one.about is About.FILE]
     about_data = [one for one in found.findings if one.about is About.DATA]
     yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"
@@ -117,10 +113,10 @@ def describe(found: LogCheck) -> Iterator[str]:
 
 
 def _alike(findings: Sequence[Finding]) -> Iterator[str]:
-    """Yield each kind of finding once: a stall is found on every topic."""
+    """Each kind of finding once: a stall affects every topic."""
     by_what: dict[str, list[Finding]] = {}
     for one in findings:
-        # Of raw frames the name stands before it.
+        # The names of raw frames come first.
         by_what.setdefault(one.what.rpartition(": ")[2], []).append(one)
     for what, found in by_what.items():
         if len(found) <= TOPICS_SHOWN:
@@ -134,7 +130,6 @@ def _alike(findings: Sequence[Finding]) -> Iterator[str]:
 
 
 def _finding(one: Finding) -> str:
-    """Describe a finding in one line: topic, fault, count and first place."""
     place = [f"byte {one.offset}"] if one.offset is not None else []
     place += [in_words(one.time_ns)] if one.time_ns is not None else []
     where = f", first at {' and '.join(place)}" if place else ""

@@ -19,15 +19,14 @@ EXAMPLE: Final = (
     "  cruiser review cut log.mcap --from -60 --topic '*/safety/*' --topic '*/state' -o part.mcap"
 )
 DESCRIPTION: Final = (
-    "Writes a part of a log into a new one: the messages of a time, by their log times, and of some topics, with "
-    "schemas, all metadata and all attachments. Nothing is overwritten. Exit code 2 if nothing is of that time or "
-    "of those topics, 3 if something could not be read; the rest is in the new file. It takes one file: several "
-    "become one by 'mcap merge'."
+    "Writes a part of a log into a new one: the messages of a period, by their log times, and of some topics, "
+    "with schemas, all metadata and all attachments. No file is overwritten. Exit code 2 if no message matches, "
+    "3 if something could not be read; the rest is in the new file. It takes one file; 'mcap merge' joins "
+    "several."
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument("logs", nargs=1, type=log_place, metavar="LOG", help="a file")
     parser.add_argument("--json", action="store_true", help=JSON_HELP)
     add_period(parser)
@@ -42,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Cut."""
     asked = find(arguments, settings, stopped)
     if len(asked.logs) > 1:
         raise CommandError(f"it takes one file, and {arguments.logs[0]} has {len(asked.logs)}", ExitCode.USAGE)
@@ -51,7 +49,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         try:
             part = cut(log, arguments.out, asked.selection, arguments.topic, asked.faults, progress)
         except CommandError:
-            # What cannot be read may be why.
+            # A read fault may be the cause.
             end_with(asked.faults)
             raise
     show(part, _lines(part), as_json=arguments.json)

@@ -23,36 +23,33 @@ EXAMPLE: Final = """  cruiser review export -o dataset logs
   cruiser review export --format candump -o frames logs"""
 DESCRIPTION: Final = (
     "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
-    "topic, or their raw frames as candump log, ASC or BLF, one file a robot. Nothing that is there is "
-    "overwritten. Exit code 3 if not all of a log could be read."
+    "topic, or their raw frames as candump log, ASC or BLF, one file a robot. No file is overwritten. Exit code 3 "
+    "if not all of a log could be read."
 )
 
 PARQUET: Final = "parquet"
 FRAMES: Final = ("candump", "asc", "blf")
-_SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")
-"""Of a place on a network, as a path has it: ``s3:/bucket``. For a directory of that name there is ``./s3:``."""
+_SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")  # a network address as a path: ``s3:/bucket``
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print what was written as JSON, an object a line")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="where it goes")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="output directory")
     parser.add_argument("--format", choices=(PARQUET, "csv", *FRAMES), default=PARQUET, help=f"default {PARQUET}")
     parser.add_argument(
         "--topic",
         action="append",
         default=[],
         metavar="PATTERN",
-        help="only these topics, by their names or by what follows the robot in them; may be given again",
+        help="only these topics, by their full names or without root and robot; may be repeated",
     )
     add_task_runner(parser)
     add_period(parser)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Export."""
     if arguments.format != PARQUET and (arguments.ray or arguments.processes):
-        raise CommandError("--processes and --ray are of --format parquet", ExitCode.USAGE)
+        raise CommandError("--processes and --ray need --format parquet", ExitCode.USAGE)
     if _SCHEME.match(str(arguments.out)):
         raise CommandError(
             f"{plain(str(arguments.out))} is no directory: export to one, and copy it with the store's own tool "
@@ -60,19 +57,19 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             ExitCode.USAGE,
         )
     asked = find(arguments, settings, stopped)
-    # A cluster may first have to start.
+    # A cluster may have to start first.
     is_bounded = not arguments.ray
     with needing_extra(), progress_bar("exporting", asked.bytes, stopped, is_bounded=is_bounded) as progress:
         written = _EXPORTS[arguments.format](arguments, asked, progress)
     if not written:
-        sys.stderr.write("cruiser review: there was nothing to write\n")
+        sys.stderr.write("cruiser review: nothing to write\n")
     for one in written:
         show(one, [describe(one)], as_json=arguments.json)
     return end_with(asked.faults)
 
 
 def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported late
-    """Return a line for people about a file or a dataset that was written."""
+    """A line for people about a file or a dataset."""
     about = msgspec.to_builtins(one)
     if "frames" in about:
         late = f", {about['late']} of them out of order" if about["late"] else ""

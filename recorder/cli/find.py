@@ -33,10 +33,10 @@ EXAMPLE: Final = """\
   cruiser review find logs robot-logs depot-logs --json
   cruiser review query 'SELECT file FROM catalog WHERE distance_m > 100' logs"""
 DESCRIPTION: Final = (
-    "Finds stops, incidents, events, drives or logs in directories of logs. It is answered from a catalog, "
-    "catalog.parquet in each directory, which is brought up to date first: only logs that are new or have changed "
-    "are opened. For any other question, 'cruiser review query' has the catalog as a table. Exit code 3 if a log "
-    "could not be read as a whole."
+    "Finds stops, incidents, events, drives or logs in directories of logs. It reads a catalog, catalog.parquet "
+    "in each directory, which is brought up to date first: only new or changed logs are opened. For any other "
+    "question, 'cruiser review query' has the catalog as a table. Exit code 3 if not all of a log could be "
+    "read."
 )
 
 _UNITS_S: Final = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -45,7 +45,6 @@ _REASONS: Final = tuple(reason.value for reason in Reason)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument("search", choices=SEARCHES, metavar="SEARCH", help=f"one of {', '.join(SEARCHES)}")
     parser.add_argument(
         "logs",
@@ -58,15 +57,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reason", type=_reason, metavar="WORD", help="with a stop or refusal for this reason")
     parser.add_argument("--operator", metavar="NAME", help="of this operator")
     moment = "a time before now (90min, 12h, 30d, 2w), or a date in UTC (2026-01-02, 2026-01-02T03:04:05Z)"
-    parser.add_argument("--since", type=_moment, default=0, metavar="TIME", help=f"not over before: {moment}")
-    parser.add_argument("--until", type=_moment, metavar="TIME", help="begun before that, likewise")
-    parser.add_argument("--newest", type=_count, metavar="N", help="the last N answers alone")
+    parser.add_argument(
+        "--since", type=_moment, default=0, metavar="TIME", help=f"ended after this time: {moment}"
+    )
+    parser.add_argument("--until", type=_moment, metavar="TIME", help="begun before this time, likewise")
+    parser.add_argument("--newest", type=_count, metavar="N", help="only the last N answers")
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument(
         "--catalog",
         type=Path,
         metavar="FILE",
-        help="keep the catalog there, not beside the logs; of one directory",
+        help="store the catalog there, not beside the logs; for one directory",
     )
 
 
@@ -79,7 +80,6 @@ def _reason(text: str) -> str:
 
 
 def _moment(text: str) -> int:
-    """A time in nanoseconds since 1970."""
     if match := _SPAN.fullmatch(text):
         return max(0, time.time_ns() - int(match[1]) * _UNITS_S[match[2]] * 1_000_000_000)
     time_ns = date_of(text)
@@ -97,13 +97,12 @@ def _count(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Bring the catalogs up to date, and answer from them."""
     with needing_extra():
         from recorder.cli.catalogs import catalog_rows  # noqa: PLC0415 - its libraries are an extra
         from recorder.review.catalog import find  # noqa: PLC0415
     bounds = {} if arguments.until is None else {"until_ns": arguments.until}
     if arguments.until is not None and arguments.since >= arguments.until:
-        raise CommandError("there is no time between --since and --until", ExitCode.USAGE)
+        raise CommandError("--since must be before --until", ExitCode.USAGE)
     faults = Faults()
     rows = catalog_rows(
         arguments.logs,
@@ -123,10 +122,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def link(file: str, robot: str, time_ns: int) -> str:
-    """Return the address of a moment in the report of a log, which ``report_command`` writes.
-
-    A report lies beside its log, so of a log in a store it is the log itself.
-    """
+    """The address of a moment in the report of a log, which ``report_command`` writes; in a store, the log's."""
     if is_address(file):
         return file
     named = f"&robot={quote(robot, safe='')}" if robot else ""
@@ -134,17 +130,17 @@ def link(file: str, robot: str, time_ns: int) -> str:
 
 
 def page_of(file: str) -> str:
-    """Return the path of a log's report, beside the log."""
+    """The path of a log's report, beside the log."""
     return f"{file.removesuffix(PART_SUFFIX).removesuffix(SUFFIX)}.html"
 
 
 def report_command(file: str) -> str:
-    """Return the command that writes the report of a log beside it; empty for a log in a store."""
+    """The command that writes the report of a log beside it; empty for a log in a store."""
     return "" if is_address(file) else shlex.join(["cruiser", "review", "report", file, "-o", page_of(file)])
 
 
 def _as_json(search: str, found: Sequence[dict[str, Any]]) -> list[str]:
-    """An answer as a line of JSON: its own fields, its time as a text, and where to go on."""
+    """An answer as a line of JSON: its fields, its time as a text, and further commands."""
     return [msgspec.json.encode({**one, **_more(search, one)}).decode() for one in found]
 
 
@@ -163,13 +159,13 @@ def _more(search: str, one: dict[str, Any]) -> dict[str, Any]:
 
 def _as_table(search: str, found: Sequence[dict[str, Any]]) -> list[str]:
     if not found:
-        return ["nothing of that is in the logs"]
+        return ["nothing found"]
     head, cells = {"logs": (_LOG, _log_cells), "drives": (_DRIVE, _drive_cells)}.get(
         search, (_EVENT, _event_cells)
     )
     lines = table(head, [[plain(cell) for cell in cells(one)] for one in found], words=len(head))
     command = report_command(found[-1]["file"]) if search != "logs" else ""
-    return [*lines, *([f"The page of a link is written by: {plain(command)}"] if command else [])]
+    return [*lines, *([f"To write the page of a link: {plain(command)}"] if command else [])]
 
 
 _EVENT: Final = ("time", "robot", "kind", "reason", "operator", "what", "link")

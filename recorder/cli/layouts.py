@@ -1,4 +1,4 @@
-"""``cruiser review layouts``: files with which viewers show a log as it is worth looking at."""
+"""``cruiser review layouts``: layouts of viewers for a log."""
 
 from __future__ import annotations
 
@@ -22,17 +22,13 @@ from schemas.settings import Settings
 EXAMPLE: Final = "  cruiser review layouts logs -o layouts"
 DESCRIPTION: Final = (
     "Writes layouts of Foxglove and Lichtblick (JSON), PlotJuggler (XML) and rerun (a blueprint) for each robot "
-    "of the logs. The first two a recorder attaches to each log, too. The blueprint needs rerun's own package, "
-    "which the extra 'rerun' brings."
+    "of the logs. A recorder also attaches the first two to each log. The blueprint needs rerun's package (extra "
+    "'rerun')."
 )
 
 
 class Written(msgspec.Struct, frozen=True):
-    """A layout that was written.
-
-    Attributes:
-        robot: the beginning of its keys.
-    """
+    """A written layout; ``robot`` is the beginning of its keys."""
 
     robot: str
     path: str
@@ -50,7 +46,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     robots = robots_of(asked.logs, asked.faults)
     if not robots:
         end_with(asked.faults)
-        raise CommandError("there is no topic of a robot in these logs, so no layout for it")
+        raise CommandError("the logs hold no topic of a robot, so there is no layout to write")
     try:
         arguments.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -63,7 +59,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             failure = f"cannot write in {plain(str(arguments.out))}: {error.strerror or error}"
             if error.errno != errno.ENAMETOOLONG:
                 raise CommandError(failure) from error
-            # A name that no file can have is one robot's alone.
+            # Too long a name affects only its robot.
             asked.faults.add(f"no layout of {short(plain(robot.key))}: {failure}")
     for one in written:
         show(one, [f"{one.robot}: {one.path}"], as_json=arguments.json)
@@ -81,7 +77,7 @@ def _write(robot: RobotKeys, name: str, directory: Path) -> list[Written]:
     try:
         blueprint = import_module("recorder.layouts.rerun_blueprint")
     except ImportError:
-        pass  # Told at the end: the others are of use without it.
+        pass  # Reported at the end: the others work without it.
     else:
         path = directory / f"{name}.{blueprint.NAME}"
         blueprint.save_blueprint(robot, name, path)
@@ -90,7 +86,7 @@ def _write(robot: RobotKeys, name: str, directory: Path) -> list[Written]:
 
 
 def _name_of(robot: RobotKeys, robots: Sequence[RobotKeys]) -> str:
-    """Begins the files' names. Robots of one name under several roots are called by their root too."""
+    """The beginning of the files' names, with the root for robots of one name under several roots."""
     name = robot.key.rpartition("/")[2]
     is_only = sum(other.key.rpartition("/")[2] == name for other in robots) == 1
     return name if is_only else robot.key.replace("/", "-")

@@ -23,24 +23,21 @@ EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM saf
   cruiser review query 'SELECT file FROM catalog WHERE distance_m > 100' logs
   cruiser review query --tables logs"""
 DESCRIPTION: Final = (
-    "Answers SQL, as DuckDB speaks it, from logs or from a dataset that 'cruiser review export' has made. Each "
-    "subject is a table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, "
-    "log_time, publish_time, sequence, and the fields of the message. The table catalog has a row for each log of "
-    "directories, as 'cruiser review find' keeps it. The statement sees nothing but these tables. Exit code 2 if "
-    "it is wrong, 3 if not all of a log could be read."
+    "Answers SQL (DuckDB's dialect) from logs, or from a dataset of 'cruiser review export'. Each subject is a "
+    "table: state, chassis_drive, safety_decision, can_rx, journal, ...; its columns are robot, log_time, "
+    "publish_time, sequence, and the fields of the message. The table catalog has a row for each log of "
+    "directories, from the catalog of 'cruiser review find'. The statement can access only these tables. Exit "
+    "code 2 if it is wrong, 3 if not all of a log could be read."
 )
 
-SHOWN_MAX: Final = 1000
-"""Rows of a table for people."""
-
+SHOWN_MAX: Final = 1000  # rows of a table for people
 CELL_MAX: Final = 60
 
 _CONTROLS: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
-"""Characters that rule a terminal, or the direction of its text."""
+"""Characters that control a terminal, or the direction of its text."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.usage = f"{parser.prog} [options] SQL LOG...\n       {parser.prog} --tables [options] LOG..."
     parser.add_argument("words", nargs="+", metavar="SQL LOG", help="a statement, then logs or one dataset")
     parser.add_argument("--tables", action="store_true", help="list the tables and their columns instead")
@@ -50,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Ask."""
     sql, *logs = ["", *arguments.words] if arguments.tables else arguments.words
     if not logs:
         raise CommandError("give a statement, and then a log or a dataset", ExitCode.USAGE)
@@ -62,12 +58,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         return _ask_catalog(query, sql, arguments, settings, stopped)
     manifests = list(map(read_manifest, arguments.logs))
     if len(logs) > 1 and any(manifests):
-        raise CommandError("a dataset is asked alone, without logs or other datasets", ExitCode.USAGE)
+        raise CommandError("give one dataset alone, without logs or other datasets", ExitCode.USAGE)
     manifest = manifests[0]
     if manifest is not None:
         if arguments.from_time or arguments.to_time:
             raise CommandError(
-                "of a dataset the statement itself says which time: WHERE log_time > ...", ExitCode.USAGE
+                "for a dataset, give the time in the statement: WHERE log_time > ...", ExitCode.USAGE
             )
         _ask(query, query.DatasetSource(arguments.logs[0], manifest), sql, arguments, stopped)
         return int(ExitCode.OK)
@@ -78,10 +74,10 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         try:
             _ask(query, source, sql, arguments, stopped)
         except CommandError:
-            # DuckDB makes an error of its own of whatever interrupts it.
+            # DuckDB turns an interrupt into its own error.
             if stopped():
                 raise KeyboardInterrupt from None
-            # What cannot be read may be why.
+            # A read fault may be the cause.
             end_with(asked.faults)
             raise
     return end_with(asked.faults)
@@ -99,9 +95,7 @@ def _ask_catalog(
     from recorder.review.query import CatalogSource  # noqa: PLC0415
 
     if arguments.from_time or arguments.to_time:
-        raise CommandError(
-            "of a catalog the statement itself says which time: WHERE start_ns > ...", ExitCode.USAGE
-        )
+        raise CommandError("for a catalog, give the time in the statement: WHERE start_ns > ...", ExitCode.USAGE)
     faults = Faults()
     rows = catalog_rows(arguments.logs, SCHEMA.names, settings, faults, stopped)
     _ask(query, CatalogSource(rows), sql, arguments, stopped)
@@ -113,7 +107,7 @@ def _ask(query: Any, source: Any, sql: str, arguments: argparse.Namespace, stopp
         for one in source.tables:
             show(one, _columns(one), as_json=arguments.json)
         return
-    with query.answer(source, sql, stopped) as rows, query.told():
+    with query.answer(source, sql, stopped) as rows, query.one_line_errors():
         if rows is None:
             return
         if arguments.csv:
@@ -150,7 +144,7 @@ def _print_csv(rows: Any, stopped: Callable[[], bool]) -> None:  # noqa: ANN401 
 
 
 def _write_csv(text: str) -> None:
-    """Lines of CSV. Control characters of a terminal are escaped; tabs and the ends of lines are CSV's own."""
+    """Print CSV with a terminal's control characters escaped, except tabs and line ends."""
     sys.stdout.write(_CONTROLS.sub(lambda found: ascii(found[0])[1:-1], text))
 
 
@@ -162,7 +156,7 @@ def _print_table(names: list[str], found: Iterator[dict[str, Any]]) -> None:
         sys.stderr.write(f"cruiser review: only the first {SHOWN_MAX} rows are shown; --csv and --json give all\n")
 
 
-def _cell(value: Any) -> str:  # noqa: ANN401 - whatever SQL gives
+def _cell(value: Any) -> str:  # noqa: ANN401 - any value of SQL
     if value is None:
         return "-"
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""``cruiser record``: write what is said on Zenoh into MCAP logs."""
+"""``cruiser record``: record Zenoh samples in MCAP logs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def own_name(settings: Settings) -> str:
-    """Return the name that is set; else that of the recorder's grant, in signed mode; else the host's."""
+    """The configured name; else that of the recorder's grant, in signed mode; else the host's."""
     name = settings.recorder.name
     if not name and settings.authority.mode == "signed":
         from schemas.authority.key_files import directory_of, granted_name  # noqa: PLC0415 - open mode does without
@@ -52,31 +52,25 @@ def own_name(settings: Settings) -> str:
 
 EXAMPLE: Final = "  cruiser record -k 'fleet/cruiser-1/**' -o logs"
 
-LEFTOVERS_S: Final = 5.0
-"""The end waits so long for the recovery of logs that an earlier recorder left; the next start resumes it."""
-
-FLEET_NAME: Final = "fleet"  # begins the name of a log that may hold several robots, or what is no robot's
-
-IDLE_NS: Final = 600_000_000_000
-"""A log whose robot has said nothing for ten minutes is ended; if it says more, another is begun."""
+LEFTOVERS_S: Final = 5.0  # at the end, longest wait for the recovery of leftovers; the next start resumes it
+FLEET_NAME: Final = "fleet"  # begins the name of a log of several robots, or of other keys
+IDLE_NS: Final = 600_000_000_000  # a log without samples for ten minutes is ended
 
 SHARD_LEASE_MS: Final = 5000
-"""A shard's links are lost after so long without a sign of life, unless a setting or a file says another: while a
-router takes in a thousand robots it hears nobody for seconds, and each link that breaks gives it more to do."""
+"""Default lease of a shard's links: a router that accepts a thousand robots does not respond for seconds, and
+broken links would add to its load."""
 
-COLLECT_AFTER: Final = (100_000, 50, 100)
-"""Thresholds of the garbage collector: nothing that is made for each sample is in a circle."""
-
+COLLECT_AFTER: Final = (100_000, 50, 100)  # garbage collector's thresholds: samples make no reference cycles
 FILES_APART: Final = 100  # files and links that may be open besides the logs
-CHUNK_MIN_BYTES: Final = 16_384  # however small the files are to be, chunks are not made smaller for it than this
-BUDGET_FILES: Final = 20  # a file is ended at this part of the budget
-
-BUDGET_RINGS: Final = 4
-"""The ring for incidents is at most this part of the budget: an incident begins with all of it."""
+CHUNK_MIN_BYTES: Final = 16_384  # smallest chunk size for small files
+BUDGET_FILES: Final = 20  # a file is ended at 1/20 of the budget
+BUDGET_RINGS: Final = (
+    4  # the rings for incidents take at most 1/4 of the budget: an incident begins with all of it
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    # It runs for hours, and who looks into its log wants to see links come and go.
+    # It runs for hours, and its log should show links come and go.
     parser.set_defaults(log_level="info")
     parser.add_argument(
         "-k",
@@ -101,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     _add_actions(parser)
-    # Behind them, whose usage would begin with it. Of itself it would show no recording without an action.
+    # After the actions, whose usage would begin with it. The default would not show that an action is optional.
     parser.usage = f"{parser.prog} [options]\n       {parser.prog} [options] ACTION ..."
 
 
@@ -114,24 +108,24 @@ def _add_actions(parser: argparse.ArgumentParser) -> None:
             action,
             help=about,
             description=f"{about[0].upper()}{about[1:]}.",
-            # What stands before the action is not to be forgotten.
+            # Keep the flags before the action.
             argument_default=argparse.SUPPRESS,
         )
         remote.add_arguments(one, action)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Record until stopped, and print the log's path; or ask a recorder that is running."""
+    """Record until stopped, and print the log's path; or send a request to a running recorder."""
     if arguments.action is None:
         return _record(arguments, settings, stopped)
     if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        # It says nothing to these, and whoever hangs up wants them ended, but for nohup.
+        # These commands end at a hangup, except under nohup.
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
     return remote.run(arguments, settings, stopped)
 
 
 def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    # First of all: a service may say it as soon as the process is there.
+    # First of all: a service may send it as soon as the process exists.
     rolls = hangups()
     named = msgspec.structs.replace(settings.recorder, name=own_name(settings))
     settings = with_shard_lease(msgspec.structs.replace(settings, recorder=named))
@@ -173,21 +167,21 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         recorded = loop.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
     if not recorded.is_hung:
-        # Only now: what was left in a fault may have been recovered since.
+        # Only now: files left by a fault may have been recovered since.
         recorded = msgspec.structs.replace(recorded, unfinished=writer.unfinished)
     code = _report(recorded, as_json=arguments.json)
     if recorded.is_hung:
-        # Threads that wait for the disk would keep the process for ever.
+        # Threads that wait for the disk would keep the process alive.
         sys.stdout.flush()
         os._exit(code)
     return code
 
 
 def signer_of(settings: AuthoritySettings) -> LogSigner | None:
-    """Return what signs the logs in signed mode; None where this machine is not provisioned as a recorder."""
+    """The signer of logs in signed mode; None if this machine is not provisioned as a recorder."""
     if settings.mode != "signed":
         return None
-    # What signs and verifies takes a quarter of the process's memory: open mode does without.
+    # Cryptography takes a quarter of the process's memory: open mode does without.
     from recorder.record.signed_mode import LogSigner  # noqa: PLC0415
     from schemas.authority.key_files import KEY_FILE, directory_of, made, read_identity  # noqa: PLC0415  # noqa: PLC0415
 
@@ -199,7 +193,7 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
 
 
 def _proofs_of(settings: AuthoritySettings) -> Callable[[], StatementProofs] | None:
-    """Return what makes a log's verifier of statements, in signed mode."""
+    """The factory of a log's verifier of statements, in signed mode."""
     if settings.mode != "signed":
         return None
     from recorder.record.signed_mode import StatementProofs  # noqa: PLC0415 - open mode does without
@@ -209,7 +203,7 @@ def _proofs_of(settings: AuthoritySettings) -> Callable[[], StatementProofs] | N
 
 
 def with_shard_lease(settings: Settings) -> Settings:
-    """Return the settings with a shard's lease, where it is a shard and no lease was given."""
+    """The settings with a shard's lease, if it is a shard and no lease is configured."""
     if not settings.recorder.shard or "lease_ms" in settings.zenoh.given:
         return settings
     return msgspec.structs.replace(
@@ -223,13 +217,13 @@ def _source(settings: Settings, expressions: Sequence[str]) -> ZenohSource:
         return ZenohSource(settings.zenoh, expressions, recorder.queue_bytes // RING_SAMPLE_BYTES)
     own = shard_of(recorder.shard)
     if not recorder.per_robot:
-        raise CommandError("a shard of a fleet has a log for each robot: set recorder.per_robot", ExitCode.USAGE)
+        raise CommandError("a shard needs a log for each robot: set recorder.per_robot", ExitCode.USAGE)
     return ShardedSource(settings.zenoh, expressions, settings.robot.root, own)
 
 
 def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], release: str) -> RecorderPlan:
     recorder = settings.recorder
-    # What is being written cannot be deleted: within a budget no file may be large.
+    # Open files cannot be deleted: within a budget no file may be large.
     budget_part = recorder.budget_bytes // BUDGET_FILES
     rotate_bytes = min(filter(None, (recorder.rotate_bytes, budget_part)), default=0)
     return RecorderPlan(
@@ -258,21 +252,21 @@ def recorder_plan(settings: Settings, name: str, expressions: Sequence[str], rel
 
 
 def collect_seldom() -> None:
-    """Samples that wait are no garbage: to look through them again and again took a third of the processor."""
+    """Run the garbage collector rarely: scanning the waiting samples took a third of the processor."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(*COLLECT_AFTER)
 
 
 def allow_many_files() -> int:
-    """As many open files as the system lets this user have: each robot has its own, and its incident another."""
+    """Raise the limit of open files. Returns the number of robots whose log and incident fit into it."""
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     return ROBOT_LIMIT if most == resource.RLIM_INFINITY else min(ROBOT_LIMIT, max(0, most - FILES_APART) // 2)
 
 
 def hangups() -> Callable[[], bool]:
-    """Return a function that reports whether SIGHUP came since its last call: it begins a new file."""
+    """Return a function that reports whether SIGHUP came since its last call."""
     came = False
 
     def handle(_number: int, _frame: FrameType | None) -> None:
@@ -289,19 +283,19 @@ def hangups() -> Callable[[], bool]:
 
 
 def log_name(root: str, expressions: Sequence[str]) -> str:
-    """Return the beginning of the log's name: the robot, if the expressions can match but one."""
+    """The beginning of the log's name: the robot, if the expressions can match only one."""
     robots = _robots_in(root, expressions)
     return (robots.pop() or FLEET_NAME) if len(robots) == 1 else FLEET_NAME
 
 
 def known_robots(settings: Settings, expressions: Sequence[str]) -> frozenset[str]:
-    """The robots that are known by name, from the settings or from what is to be recorded."""
+    """The robots named in the settings or in the key expressions."""
     named = _robots_in(settings.robot.root, expressions) - {""}
     return frozenset(named.union(settings.recorder.known_robots))
 
 
 def _robots_in(root: str, expressions: Sequence[str]) -> set[str]:
-    """The robots that key expressions name; empty stands for all others."""
+    """The robots named in key expressions; empty stands for all others."""
     pattern = re.compile(rf"{re.escape(root)}/({keys.ROBOT_PATTERN})(/.*)?")
     return {match[1] if (match := pattern.fullmatch(expression)) else "" for expression in expressions}
 
@@ -313,24 +307,24 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
         sys.stdout.write(f"{recorded.path}\n")
     if recorded.is_hung:
         sys.stderr.write(
-            "cruiser record: the disk does not answer: the logs are not ended, "
-            f"and {recorded.lost_disk} messages or more are lost\n"
+            "cruiser record: the disk does not respond: the logs are not finished, "
+            f"and at least {recorded.lost_disk} messages are lost\n"
         )
         return int(ExitCode.PARTIAL)
     counts = recorded.keys.values()
     full = recorded.lost_full
     if recorded.path is None and recorded.lost_disk + full:
-        raise CommandError(f"the disk took no log; {recorded.lost_disk + full} messages are lost")
+        raise CommandError(f"no log could be written; {recorded.lost_disk + full} messages are lost")
     if not any(count.received for count in counts):
-        raise CommandError("no sample came, so there is no log", ExitCode.UNREACHABLE)
+        raise CommandError("no sample received, so there is no log", ExitCode.UNREACHABLE)
     dropped = recorded.lost_queue + recorded.lost_size
     notes = [
         f", in {recorded.files} files" if recorded.files > 1 else "",
         f", {recorded.incidents} incidents" if recorded.incidents else "",
         f"; {dropped} samples dropped" if dropped else "",
-        f"; no room for {full} messages" if full else "",
-        f"; the disk did not take or keep {recorded.lost_disk} messages" if recorded.lost_disk else "",
-        f"; {recorded.unfinished} files are not whole" if recorded.unfinished else "",
+        f"; {full} messages not recorded on the full disk" if full else "",
+        f"; {recorded.lost_disk} messages lost by the disk" if recorded.lost_disk else "",
+        f"; {recorded.unfinished} files not finished" if recorded.unfinished else "",
     ]
     sys.stderr.write(
         f"record: {recorded.messages} messages on {recorded.channels} channels, {recorded.bytes} bytes, "

@@ -1,4 +1,4 @@
-"""``cruiser review recover``: make logs whole that their recorder could not finish."""
+"""``cruiser review recover``: finish logs that their recorder could not finish."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review recover logs\n  cruiser review recover logs/*.mcap.part"
 DESCRIPTION: Final = (
-    "Makes logs whole, in place, that their recorder could not finish, and renames each "
-    ".mcap.part .mcap. The next 'cruiser record' does the same in its directory. What is behind the last "
-    "whole record is cut off; unless it is only the beginning of a write, it is kept beside as .mcap.rest. A "
-    "log with damage before its end becomes .mcap.damaged, and what is good in it is copied. Exit code 3 if a "
-    "file was damaged, 1 if nothing can be recovered."
+    "Finishes logs in place that their recorder could not finish, and renames each .mcap.part to .mcap. The next "
+    "'cruiser record' does the same in its directory. Bytes behind the last whole record are cut off, and saved "
+    "beside the log as .mcap.rest unless they are only the beginning of a write. A log with damage before its end "
+    "becomes .mcap.damaged, and its good data is copied. Exit code 3 if a file was damaged, 1 if nothing can be "
+    "recovered."
 )
 
 _FINE: Final = {RecoveryOutcome.WHOLE, RecoveryOutcome.RECOVERED}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     parser.add_argument(
         "files",
         nargs="+",
@@ -40,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, _settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Recover."""
     library = f"cruiser-gateway {version('cruiser-gateway')}"
     outcomes: set[RecoveryOutcome] = set()
     for path in _leftovers(arguments.files):
@@ -58,12 +56,11 @@ def _leftovers(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
         found = sorted(path.glob(f"[!.]*{PART_SUFFIX}")) if path.is_dir() else [path]
         if not found:
-            sys.stderr.write(f"cruiser review: {plain(str(path))} holds no log that is not finished\n")
+            sys.stderr.write(f"cruiser review: {plain(str(path))} holds no unfinished log\n")
         yield from found
 
 
 def describe(recovery: Recovery) -> Iterator[str]:
-    """Yield lines for people about what became of a log."""
     if recovery.outcome in {RecoveryOutcome.NOTHING, RecoveryOutcome.BUSY, RecoveryOutcome.FAILED}:
         yield f"{recovery.path}: not recovered: {recovery.detail or 'nothing in it can be read'}"
     else:
@@ -72,4 +69,4 @@ def describe(recovery: Recovery) -> Iterator[str]:
     if recovery.fault_count > len(recovery.faults):
         yield f"  and {recovery.fault_count - len(recovery.faults)} more faults"
     if recovery.kept is not None:
-        yield f"  the rest is kept in {recovery.kept}"
+        yield f"  the rest is in {recovery.kept}"

@@ -1,6 +1,6 @@
-"""``cruiser record status`` and ``mark``: a recorder elsewhere, and what its certificate lets one do.
+"""``cruiser record status`` and ``mark``: requests to a running recorder, and the check of roles.
 
-What a role may not do a router denies, and says nothing of it.
+A router denies silently what a role may not do, so the role is checked first.
 """
 
 from __future__ import annotations
@@ -31,20 +31,15 @@ RECORDING: Final = frozenset({"recorder", "router"})
 ORDERING: Final = frozenset({"operator", "desk", "router"})
 
 _PROVISIONED: Final = frozenset({"robot", "viewer"}) | RECORDING | ORDERING
-"""Roles of 'cruiser provision'; of another one it is not known what it may do."""
+"""Roles of 'cruiser provision'; the rights of others are unknown."""
 
 
 def check_role(settings: ZenohSettings, roles: Collection[str], allowed: str) -> None:
-    """Check that this machine's certificate is of one of these roles.
-
-    Args:
-        roles: those that may do it.
-        allowed: what routers let them do, and what cures it, in words.
-    """
+    """Check that this machine's certificate is of one of these roles; ``allowed`` is the rule, and the cure."""
     file = str(of_file(settings, CERTIFICATE) or "")
     if not file:
         return
-    from schemas.authority.key_files import certificate_role  # noqa: PLC0415 - only for who has a certificate
+    from schemas.authority.key_files import certificate_role  # noqa: PLC0415 - only with a certificate
 
     role = certificate_role(Path(file))
     if role in _PROVISIONED and role not in roles:
@@ -57,21 +52,21 @@ def check_recording(settings: ZenohSettings, expressions: Sequence[str]) -> None
         check_role(
             settings,
             RECORDING,
-            "routers let a recorder alone receive everything; 'cruiser provision recorder NAME' makes the keys of "
-            "one, or -k names single subjects",
+            "routers let only recorders receive everything; make a recorder's keys by 'cruiser provision recorder "
+            "NAME', or name single subjects by -k",
         )
 
 
 Replies = list[tuple[str, RecorderReply]]
-"""Replies, each with the recorder's name; two on different hosts may have the same one."""
+"""Replies with the recorder's name; two on different hosts may have the same one."""
 
 ABOUT: Final = {
-    "status": "what recorders do, what they got and what they lost",
-    "mark": "keep what was received shortly before and after now as an incident",
+    "status": "state, counts and losses of recorders",
+    "mark": "record the time around now as an incident",
 }
 
-TIMEOUT_S: Final = 3.0  # the time for which a recorder is looked for, and its reply waited for
-LOOK_S: Final = 0.3  # one query waits so long for recorders to be found; then it is asked again
+TIMEOUT_S: Final = 3.0  # of the search for recorders, and of the reply
+LOOK_S: Final = 0.3  # timeout of one query of the search
 
 
 def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
@@ -82,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
         parser.add_argument("-m", "--text", default="", metavar="TEXT", help="why; it goes into the log")
         parser.add_argument("--robot", type=robot_name, default=None, help="whose log (every robot's)")
     parser.add_argument(
-        "--operator", type=operator_name, default=None, metavar="NAME", help="who asks (the login name)"
+        "--operator", type=operator_name, default=None, metavar="NAME", help="your operator name (the login name)"
     )
     parser.add_argument(
         "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"how long to wait ({TIMEOUT_S:g})"
@@ -92,9 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Ask, and print the replies. ``status`` asks all recorders, ``mark`` one."""
+    """Send a request, and print the replies. ``status`` goes to all recorders, ``mark`` to one."""
     action: str = arguments.action
-    check_role(settings.zenoh, ORDERING, "routers let operators and desks alone ask recorders")
+    check_role(settings.zenoh, ORDERING, "routers let only operators and desks send requests to recorders")
     operator = arguments.operator or login_operator()
     with closing(RecorderClient(settings.zenoh, settings.robot.root, operator, stopped)) as client:
         found = _find(client, arguments, stopped)
@@ -112,7 +107,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def _find(client: RecorderClient, arguments: argparse.Namespace, stopped: Callable[[], bool]) -> Replies:
-    """The recorders that are there, or the one that is wanted, each with its status."""
+    """The status of all recorders, or of the named one."""
     end_s = time.monotonic() + arguments.timeout
     while not stopped():
         found = list(client.ask(arguments.recorder or keys.ALL, "status", Status(), LOOK_S))
@@ -131,7 +126,7 @@ def _only(found: Replies) -> str:
 
 
 def _as_json(name: str, reply: RecorderReply) -> str:
-    # By json, which escapes what is not ASCII: a terminal obeys some of that too.
+    # json escapes everything but ASCII, which protects the terminal.
     return json.dumps({"recorder": name, **msgspec.to_builtins(reply)}) + "\n"
 
 
@@ -140,7 +135,7 @@ def describe(name: str, action: str, reply: RecorderReply) -> str:
     lines = [head, *(f"  {file}" for file in reply.files)]
     if action == "status":
         lines += _health_lines(reply.health)
-    # A reply comes from anywhere, and may try to rule the terminal.
+    # The reply is untrusted: protect the terminal.
     return "\n".join(map(plain, lines))
 
 

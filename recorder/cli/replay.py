@@ -46,18 +46,18 @@ EXAMPLE: Final = """\
   cruiser review replay LOG --from 12.5 --speed 4 --loop forever --listen tcp/127.0.0.1:7447
   cruiser review replay LOG --key 'fleet/cruiser-1/chassis/**' --speed max"""
 DESCRIPTION: Final = (
-    "Publishes a log's messages again on Zenoh as what they were, under a root of their own, 'replay': "
-    "fleet/cruiser-1/state becomes replay/cruiser-1/state. Commands are never published, nor anything under a "
-    "root where a gateway is connected. Exit codes: 3 if a part was not read or not sent, 4 if nobody is there, "
-    "5 if it is refused."
+    "Publishes a log's messages on Zenoh again, under the root 'replay': fleet/cruiser-1/state becomes "
+    "replay/cruiser-1/state. Commands are never published, nor anything under a root where a gateway is "
+    "connected. Exit codes: 3 if a part was not read or not sent, 4 if no Zenoh node is connected, 5 if it is "
+    "refused."
 )
 
 TIMEOUT_S: Final = 3.0
 EVERY_KEY: Final = "**"
 MAX: Final = "max"
 FOREVER: Final = "forever"
-WITHHELD: Final = "commands, and keys or encodings that are unfit"
-NOTHING: Final = "the logs hold nothing that could be replayed"
+WITHHELD: Final = "commands, and invalid keys or encodings"
+NOTHING: Final = "the logs hold nothing to replay"
 SPEED_MIN: Final = 0.001
 SPEED_MAX: Final = 1e6
 
@@ -66,14 +66,14 @@ class Replayed(msgspec.Struct, frozen=True):
     """The outcome of a replay.
 
     Attributes:
-        sent: samples; ``failed`` were not taken.
-        withheld: those that are not to be sent, by why.
-        loops: number of times that it was begun.
-        lateness_max_ms: how late they were sent; 0 at the speed 'max'.
-        slipped_s: by how much it fell behind altogether, as it could not keep up.
-        pauses_cut: pauses of the log that were shortened.
-        was_alone: for a while nobody was connected; what was sent then is lost.
-        ended: ``end``; ``stopped``, by a person; or why it could not go on.
+        sent, failed: number of samples.
+        withheld: samples not to be sent, by reason.
+        loops: number of starts.
+        lateness_max_ms: 0 at the speed 'max'.
+        slipped_s: the total delay of a replay that could not keep up.
+        pauses_cut: shortened pauses of the log.
+        was_alone: at times no node was connected, and samples were lost.
+        ended: ``end``, ``stopped``, or the reason for an early end.
     """
 
     to: str
@@ -93,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_logs(parser, json_help="print the outcome as JSON")
     add_period(parser)
     parser.add_argument(
-        "--speed", type=_speed, default=1.0, metavar="X", help="so many times as fast; 'max' waits for nothing (1)"
+        "--speed", type=_speed, default=1.0, metavar="X", help="X times as fast; 'max' is without pauses (1)"
     )
     parser.add_argument("--loop", type=_loops, default=1, metavar="N", help="how often, or 'forever' (1)")
     parser.add_argument(
@@ -147,7 +147,7 @@ def _replay(
     root = arguments.root
     if re.fullmatch(keys.ROOT_PATTERN, root) is None:
         raise CommandError(f"{root!a} cannot be a root: it is {keys.ROOT_PATTERN}", ExitCode.USAGE)
-    # What cannot be read is told when the rows are.
+    # Faults are reported when the rows are read.
     topics = survey(asked.logs, Faults()).topics.values()
     roots = roots_of(topics)
     _check_root(root, {*roots, settings.robot.root}, is_forced=arguments.force)
@@ -156,18 +156,17 @@ def _replay(
     faults = [asked.faults]
 
     def read() -> Iterator[ReplaySample]:
-        # What cannot be read is told once, however often it is read.
+        # Faults are reported once, not in every loop.
         rows = read_rows(asked.logs, selection, faults.pop() if faults else Faults())
         return samples.of(runs(once(rows) if len(asked.logs) > 1 else rows))
 
-    # Or it would wait for somebody, and have nothing to say.
     if not any(may_hold(topic, wants) for topic in topics):
         raise CommandError(NOTHING)
     pace = Pace(arguments.speed)
     with closing(ZenohOutlet(settings.zenoh, root, waits=not pace.speed)) as outlet:
         _meet(outlet, root, arguments.timeout, stopped)
         if not outlet.wait_for_subscriber(arguments.timeout, stopped) and not stopped():
-            _tell(f"nobody subscribes to {root}/** yet")
+            _tell(f"no subscriber of {root}/** yet")
         _tell(f"{len(asked.logs)} logs to {root}/**")
         begun_s = time.monotonic()
         played = play(read, pace, outlet, stopped, loops=arguments.loop, is_now=arguments.now)
@@ -182,7 +181,7 @@ def _replay(
         lateness_max_ms=played.late_ns / 1e6,
         slipped_s=played.slipped_ns / 1e9,
         pauses_cut=pace.cut,
-        # Who listens has guests that come and go.
+        # With --listen, viewers come and go.
         was_alone=outlet.was_alone and not outlet.listen,
         ended=ended if played.halt is None else str(played.halt),
     )
@@ -190,26 +189,26 @@ def _replay(
 
 
 def _check_root(root: str, others: set[str], *, is_forced: bool) -> None:
-    """Nothing goes under a root that may be a robot's, unless that is meant."""
+    """Refuse a root that may be a robot's, unless forced."""
     for other in sorted(others):
-        # What was recorded of a replay is no robot's.
+        # A recorded replay is no robot.
         is_replay = f"{other}/".startswith(f"{DEFAULT_ROOT}/")
         if overlap(root, other) and not is_replay and not is_forced:
             raise CommandError(
-                f"what goes under {root} would be taken for a robot's: robots are under {other}, in the log or by "
-                f"the settings; leave out --root (it is {DEFAULT_ROOT}), or say --force",
+                f"a replay under {root} would be mistaken for a robot: robots are under {other}, in the log or by "
+                f"the settings; omit --root (default {DEFAULT_ROOT}), or use --force",
                 ExitCode.REFUSED,
             )
 
 
 def _meet(outlet: ZenohOutlet, root: str, timeout_s: float, stopped: Callable[[], bool]) -> None:
-    """Wait for somebody to be there, and see that it is no gateway under this root."""
+    """Wait for a node or a subscriber, and check that no gateway is under this root."""
     if outlet.listen:
-        _tell(f"waits for somebody who connects to {', '.join(outlet.listen)} and subscribes to {root}/**")
+        _tell(f"waiting for a subscriber of {root}/** at {', '.join(outlet.listen)}")
         outlet.wait_for_subscriber(None, stopped)
     elif not outlet.wait_for_link(timeout_s, stopped) and not stopped():
         raise CommandError(
-            f"no Zenoh node answered within {timeout_s:g} s; with --listen {DEFAULT_ENDPOINT} others connect here",
+            f"no Zenoh node answered within {timeout_s:g} s; use --listen {DEFAULT_ENDPOINT} to accept them",
             ExitCode.UNREACHABLE,
         )
     halt = outlet.find_gateway()
@@ -221,16 +220,16 @@ def describe(replayed: Replayed) -> Iterator[str]:
     rate = replayed.sent / replayed.took_s if replayed.took_s else 0
     yield f"{replayed.to}: {replayed.sent} sent in {replayed.took_s:.1f} s, {rate:.0f}/s"
     if replayed.failed:
-        yield f"  {replayed.failed} were not taken"
+        yield f"  {replayed.failed} could not be published"
     yield from (f"  {count} withheld: {why}" for why, count in replayed.withheld.items())
     if replayed.lateness_max_ms:
         yield f"  lateness: at most {replayed.lateness_max_ms:.1f} ms"
     if replayed.slipped_s:
-        yield f"  it fell {replayed.slipped_s:.1f} s behind"
+        yield f"  delayed by {replayed.slipped_s:.1f} s"
     if replayed.pauses_cut:
         yield f"  {replayed.pauses_cut} pauses of the log were shortened"
     if replayed.was_alone:
-        yield "  for a while no Zenoh node was connected, and what was sent then is lost"
+        yield "  at times no Zenoh node was connected, and samples were lost"
     if replayed.loops > 1:
         yield f"  {replayed.loops} times"
 
@@ -248,7 +247,7 @@ def _speed(text: str) -> float:
         value = math.nan
     if not SPEED_MIN <= value <= SPEED_MAX:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no speed: a number from {SPEED_MIN} to {SPEED_MAX:g}, or 'max'"
+            f"{text!r} is no speed: use a number from {SPEED_MIN} to {SPEED_MAX:g}, or 'max'"
         )
     return value
 
@@ -257,5 +256,5 @@ def _loops(text: str) -> int:
     if text == FOREVER:
         return FOR_EVER
     if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of times, nor 'forever'")
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number of times nor 'forever'")
     return int(text)

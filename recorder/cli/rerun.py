@@ -1,4 +1,4 @@
-"""``cruiser review rerun``: the recorded frames and requests through today's arbiter."""
+"""``cruiser review rerun``: the recorded frames and requests through this version's arbiter."""
 
 from __future__ import annotations
 
@@ -30,22 +30,19 @@ EXAMPLE: Final = """\
   cruiser review rerun logs
   cruiser review rerun logs --set command.speed_limit_mps=1.2"""
 DESCRIPTION: Final = (
-    "Gives the arbiter of this version the recorded frames and requests again, at the recorded times. Decisions, "
-    "events, states and sent frames must come out byte for byte; whatever differs is listed, with exit code 1. "
-    "So it ends too for a run that was made under other command rules, and says so first. "
-    "A run whose beginning is not in the log is run again from where the gateway was at rest; exit code 3 if a "
-    "run is not all there. With --set or --with three lines say what would have been different, and where: "
-    "decisions, distance and time, stops avoided, added or moved. A model of the chassis then answers what the "
-    "recorded one was not asked; what people would have done otherwise nobody knows. Of several logs the last "
-    "line says how many decide otherwise."
+    "Gives this version's arbiter the recorded frames and requests again, at the recorded times. Decisions, "
+    "events, states and sent frames must be equal byte for byte; differences are listed, with exit code 1, "
+    "which is also the code of a run made under other command rules. A run whose beginning is missing is rerun "
+    "from a point where the gateway was at rest; exit code 3 if a run is incomplete. With --set or --with, "
+    "three lines summarise the differences: decisions, distance and time, stops avoided, added or moved. A "
+    "model of the chassis then answers commands that differ from the recorded ones; operators' requests stay as "
+    "recorded. For several logs, the last line counts those that decide otherwise."
 )
 
-TOLD: Final = 20
-"""Differences that are listed one by one, without --json."""
+TOLD: Final = 20  # differences that are listed without --json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help="print a JSON object a line, one for each run of a gateway")
     parser.add_argument(
         "--set", action="append", default=[], dest="changes", metavar="SETTING=VALUE", help="try another value"
@@ -61,13 +58,12 @@ def _tried_settings(arguments: argparse.Namespace) -> TriedSettings:
     text = None if arguments.file is None else _read(arguments.file)
     tried = TriedSettings(text, str(arguments.file), changes)
     if text is not None:
-        # A wrong file or a wrong value is told before a long log is read.
+        # Report a wrong file or value before a long log is read.
         tried("")
     return tried
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Run again."""
     tried = _tried_settings(arguments)
     asked = find(arguments, settings, stopped)
     logs, otherwise, codes = 0, list[str](), list[int]()
@@ -87,12 +83,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         sys.stdout.write(f"{len(otherwise)} of {logs} logs decide otherwise{first}\n")
     codes.append(end_with(asked.faults))
     if not logs:
-        raise CommandError("there is no journal in it, so nothing can be run again", ExitCode.PARTIAL)
+        raise CommandError("the logs hold no journal, so nothing can be rerun", ExitCode.PARTIAL)
     return worst(codes)
 
 
 def _place(task: RerunTask, time_ns: int) -> str:
-    """The file of a log that holds a moment, and the moment."""
+    """The file of a log with a moment, and the moment."""
     files = [log for log in task.logs if log.start_ns <= time_ns <= log.end_ns]
     return f"{plain((files or task.logs)[0].name)}, {in_words(time_ns)}"
 
@@ -106,7 +102,7 @@ def _outcome(result: RerunResult | WhatIfResult) -> ExitCode:
 def _change(text: str) -> tuple[str, object]:
     key, equals, value = text.partition("=")
     if not equals:
-        raise CommandError(f"--set {text!r}: give SETTING=VALUE, as command.speed_limit_mps=1.2", ExitCode.USAGE)
+        raise CommandError(f"--set {text!r}: use SETTING=VALUE, as command.speed_limit_mps=1.2", ExitCode.USAGE)
     return key.strip(), value.strip()
 
 
@@ -121,7 +117,6 @@ def _read(path: Path) -> str:
 
 
 def _describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
-    """Yield lines for people about a run; above them what to expect, if it was made under other rules."""
     if notice := rules_notice(result.rules):
         yield f"{result.robot}, run {result.run}: {notice}"
     yield _head(result)
@@ -131,12 +126,12 @@ def _describe(result: RerunResult | WhatIfResult) -> Iterator[str]:
 def _of_rerun(result: RerunResult) -> Iterator[str]:
     if result.start_ns:
         same = ", ".join(f"{count} {subject}" for subject, count in result.same.items())
-        yield f"  the same, byte for byte: {same or 'nothing'}"
+        yield f"  equal byte for byte: {same or 'nothing'}"
         if result.unrecorded:
             lost = ", ".join(f"{count} {subject}" for subject, count in result.unrecorded.items())
             yield f"  not in the log, so not compared: {lost}"
         if result.given_up:
-            yield f"  {result.given_up} messages found no counterpart in time, and were not compared"
+            yield f"  {result.given_up} messages had no counterpart in time, and were not compared"
         if result.reworded:
             yield f"  {result.reworded} messages differ only in their wording"
         yield f"  different: {result.difference_count}"
@@ -150,7 +145,7 @@ def _of_rerun(result: RerunResult) -> Iterator[str]:
 
 
 def _of_what_if(result: WhatIfResult) -> Iterator[str]:
-    """Yield what would have been different, and where, in three lines; ``--json`` has all of it."""
+    """The differences in three lines; ``--json`` has all of them."""
     tried = ", ".join(f"{name} {tried} instead of {was}" for name, (was, tried) in result.settings.items())
     changes = sorted(result.changes, key=lambda one: one.first_ns)
     first = "".join(

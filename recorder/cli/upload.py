@@ -27,14 +27,14 @@ EXAMPLE: Final = """\
   cruiser upload -d logs --store file:///media/disk/logs --once
   AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=... cruiser upload -d logs --store s3://fleet-logs/plant-1"""
 
-KINDS: Final = ("s3://", "gs://", "az://", "file:///")  # the stores that there are
+KINDS: Final = ("s3://", "gs://", "az://", "file:///")
 LOOK_S: Final = 10.0  # pause between two looks at the directory
-AWAY_MAX_S: Final = 600.0  # ...which doubles up to this while the store does not answer
-POLL_S: Final = 0.1  # a stop is noticed so soon
+AWAY_MAX_S: Final = 600.0  # longest pause, while the store does not respond
+POLL_S: Final = 0.1  # period of checks for a stop
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    # It runs for as long as its machine, and its log says what is safe.
+    # It runs as long as its machine, and logs the uploaded files.
     parser.set_defaults(log_level="info")
     parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
     parser.add_argument(
@@ -53,11 +53,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
     upload, directory = settings.upload, Path(settings.recorder.directory)
     if not upload.store:
-        raise CommandError("no store is named: give --store URL, or upload.store in the settings", ExitCode.USAGE)
+        raise CommandError("no store given: use --store URL, or upload.store in the settings", ExitCode.USAGE)
     if not upload.store.startswith(KINDS):
-        # The library has others: one in memory, of which nothing would be left, while its logs were called safe.
+        # The library has others, one of them in memory.
         raise CommandError(
-            f"a store is one of {', '.join(KINDS)}, and not {shown_url(upload.store)}", ExitCode.USAGE
+            f"unknown kind of store: {shown_url(upload.store)}; use one of {', '.join(KINDS)}", ExitCode.USAGE
         )
     if not directory.is_dir():
         raise CommandError(f"{plain(str(directory))} is no directory", ExitCode.USAGE)
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 async def _upload(
     upload: UploadSettings, directory: Path, note: UploadNote, stopped: Callable[[], bool], *, is_once: bool
 ) -> tuple[UploadTotals, bool]:
-    """Return what became of the logs, and whether the store is there."""
+    """Return the result, and whether the store is reachable."""
     from recorder.upload.uploader import LogStore, Uploader, UploadPlan  # noqa: PLC0415 - not before the package is known
 
     store = LogStore(upload.store, upload.options)
@@ -88,12 +88,12 @@ async def _upload(
     plan = UploadPlan(directory, url, upload.logs == "incidents", upload.read_back, release)
     rows = row_maker("recorder.review.catalog") if upload.catalog else None
     uploader = Uploader(plan, store, note, RateLimit(upload.rate_bytes_s), rows)
-    log.info("finished logs of %s go to %s", plain(str(directory)), url)
+    log.info("uploading finished logs of %s to %s", plain(str(directory)), url)
     work = asyncio.create_task(_work(uploader, stopped, is_once=is_once))
     while not work.done():
         await asyncio.wait([work], timeout=POLL_S)
         if stopped():
-            # What is under way appears whole in the store, or not at all.
+            # An interrupted upload does not appear in the store.
             work.cancel()
             await asyncio.wait([work])
     return uploader.totals, work.cancelled() or work.result()
@@ -117,7 +117,7 @@ async def _work(uploader: Uploader, stopped: Callable[[], bool], *, is_once: boo
 
 def _lines(totals: UploadTotals) -> list[str]:
     logs = (
-        f"{totals.uploaded} logs uploaded, {totals.bytes} bytes, {totals.rows} of them with a row of the catalog"
+        f"{totals.uploaded} logs uploaded, {totals.bytes} bytes, {totals.rows} of them with a row in the catalog"
     )
     lines = [f"{logs}; {len(totals.waiting)} wait"]
     return lines + [f"{name}: {fault}" for name, fault in totals.faults.items()]

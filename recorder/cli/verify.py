@@ -1,4 +1,4 @@
-"""``cruiser review verify``: who commanded when, with which grant, and is each file as its recorder signed it?"""
+"""``cruiser review verify``: who commanded when, with which grant, and is each file as its recorder signed it."""
 
 from __future__ import annotations
 
@@ -20,20 +20,18 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = "  cruiser review verify logs --authority authority.json"
 DESCRIPTION: Final = (
-    "Says who commanded robots in signed mode, when and with which grant; whether each signed verb and each grant "
-    "holds up to the fleet's authority; and whether each file is as its recorder signed it (NAME.mcap.sig beside "
-    "it), since it received it. What a router or the recorder left out is not noticed. Exit code 0 if all holds, "
-    "1 if anything was changed, wrongly signed or not granted, 3 if something cannot be read, or nothing proves "
-    "it: in open mode, without a signature, or under another authority than was given, as of before a rotation."
+    "Lists who commanded robots in signed mode, when and with which grant. Verifies each signed verb and each "
+    "grant up to the fleet's authority, and each file by its recorder's signature (NAME.mcap.sig beside it). "
+    "Data omitted by a router or the recorder is not noticed. Exit code 0 if all holds, 1 if anything was "
+    "changed, wrongly signed or not granted, 3 if something cannot be read or proven: in open mode, without a "
+    "signature, or under another authority than the given one, such as the one before a rotation."
 )
 JSON_HELP: Final = "print a JSON object a line, one for each robot"
 
-VERBS_SHOWN: Final = 200
-"""Signed verbs that are listed one by one; ``--json`` has all."""
+VERBS_SHOWN: Final = 200  # signed verbs that are listed; ``--json`` has all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the flags."""
     add_logs(parser, json_help=JSON_HELP)
     parser.add_argument(
         "--authority",
@@ -41,13 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="the fleet's authority.json; without it nobody vouches for the authority that a log names. For logs "
-        "across a rotation give that of before, or both",
+        help="the fleet's authority.json; without it the authority named in the log is not verified. For logs "
+        "across a rotation give the earlier one, or both",
     )
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    """Verify."""
     given = {path: read_authority(path) for path in arguments.authority}
     asked = find(arguments, settings, stopped, with_covered=True)
     codes = list[int]()
@@ -58,7 +55,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             sys.stdout.write(f"{text}\n")
     codes.append(end_with(asked.faults))
     if len(codes) == 1:
-        sys.stderr.write("cruiser review: no robot is in it, so there is nothing to verify\n")
+        sys.stderr.write("cruiser review: the logs hold no robot, so there is nothing to verify\n")
         codes.append(ExitCode.PARTIAL)
     if not arguments.json:
         sys.stdout.writelines(
@@ -68,18 +65,13 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 
 
 def code_of(report: RobotProofReport) -> ExitCode:
-    """The exit code that a robot's report asks for."""
     if report.is_broken:
         return ExitCode.FAILURE
     return ExitCode.OK if report.is_proven else ExitCode.PARTIAL
 
 
 def read_authority(path: Path) -> AuthorityKeys:
-    """The fleet's authority, as a file has it.
-
-    Raises:
-        CommandError: it cannot be read, or is none.
-    """
+    """Read the fleet's authority from a file; CommandError if that is not possible."""
     shown = plain(str(path))
     try:
         check_regular(path, path.stat().st_mode)
@@ -94,16 +86,15 @@ def read_authority(path: Path) -> AuthorityKeys:
 
 
 def describe(report: RobotProofReport) -> str:
-    """Describe for people what is proven of a robot."""
-    # A log's names come from anywhere, and may try to rule the terminal.
+    # A log's names are untrusted: protect the terminal.
     return "\n".join(map(plain, _lines(report)))
 
 
 def _lines(report: RobotProofReport) -> Iterator[str]:
     yield f"{report.robot}: {_whole(report)}"
-    vouched = "as given" if report.is_vouched else "by the log alone: nobody vouches for it (--authority)"
+    vouched = "as given" if report.is_vouched else "from the log, not verified (--authority)"
     if report.is_of_other_authority:
-        vouched = "NOT AS GIVEN: what follows is by the log alone, and nobody vouches for it"
+        vouched = "NOT AS GIVEN: the following is by the log alone, not verified"
     yield from (f"  authority's key {key_fingerprint(key)}, {vouched}" for key in report.authorities)
     if report.robot_key:
         yield f"  robot's key {report.robot_key}"
@@ -130,20 +121,20 @@ def _lines(report: RobotProofReport) -> Iterator[str]:
     yield from (f"  refused: {_refused(one)}" for one in report.refused)
     yield from (f"  unproven stop: {_refused(one)}" for one in report.unproven_stops)
     for finding in report.findings:
-        word = "cannot be told" if finding.fault is ProofFault.UNPROVEN else finding.fault.value.replace("_", " ")
+        word = "unproven" if finding.fault is ProofFault.UNPROVEN else finding.fault.value.replace("_", " ")
         often = "" if finding.time_ns is None and finding.count == 1 else f" ({finding.count}{_when(finding)})"
         yield f"  {word}: {finding.what}{often}"
 
 
 def _whole(report: RobotProofReport) -> str:
-    """The verdict on all of a robot's logs: the worst that is below it."""
+    """The verdict on all of a robot's logs."""
     if report.is_broken:
         return "NOT AS IT WAS SIGNED"
     if report.is_of_other_authority:
-        return "UNDER ANOTHER AUTHORITY than was given: nobody vouches for it"
+        return "UNDER ANOTHER AUTHORITY than the given one: not verified"
     if report.holds:
-        return "what could be read holds, but NOT ALL COULD BE READ" if report.unread else "all holds"
-    return "not all of it can be proven"
+        return "the readable part holds, but NOT ALL COULD BE READ" if report.unread else "all holds"
+    return "not all can be proven"
 
 
 def _when(finding: ProofFinding) -> str:

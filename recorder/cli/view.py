@@ -41,7 +41,7 @@ LISTEN: Final = ("127.0.0.1", 8765)  # the port that viewers propose
 
 TIMEOUT_S: Final = 5.0
 
-QUEUE_SAMPLES: Final = 1000  # samples of a subject that wait while the loop is held up; beyond it the oldest go
+QUEUE_SAMPLES: Final = 1000  # samples of a subject that may wait; the oldest beyond it are dropped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,12 +95,12 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         _tell(f"{server.where}, {shown} at {where}{missing and f'; not there yet: {missing}'}")
         loop.run(ends)
     if channels.left_out:
-        _tell(f"{channels.left_out} samples were too large to be shown")
+        _tell(f"{channels.left_out} samples were too large to show")
     return int(ExitCode.OK)
 
 
 def expressions(root: str, robots: Sequence[str]) -> list[str]:
-    """The keys of all that these robots publish, or all robots, one subject at a time: as people may subscribe."""
+    """The keys of all subjects of these robots, or of all robots; no wildcards that a router may deny people."""
     published = [subject.name.format(bus=keys.ALL) for subject in SUBJECTS if subject.pattern is Pattern.PUBLISHED]
     return [f"{root}/{robot}/{name}" for robot in robots or [keys.ALL] for name in published]
 
@@ -113,7 +113,7 @@ def _wait(
     place: str,
     ends: Callable[[], bool],
 ) -> None:
-    """Wait for the robots, or, if all are asked for, for any Zenoh node. One that comes later is shown, too."""
+    """Wait for the named robots, or for any Zenoh node. Later robots are shown, too."""
     end_s = time.monotonic() + arguments.timeout
     wanted = set(arguments.robots)
 
@@ -124,14 +124,14 @@ def _wait(
     if wanted & channels.robots or is_there() or ends():
         return
     missing = (
-        f"no sample of {' or '.join(sorted(wanted))} came" if source.is_connected else "no Zenoh node answered"
+        f"no sample of {' or '.join(sorted(wanted))} received" if source.is_connected else "no Zenoh node answered"
     )
-    cure = "; 'cruiser list' says who is there" if source.is_connected else ""
+    cure = "; 'cruiser list' shows the robots" if source.is_connected else ""
     raise CommandError(f"{missing} within {arguments.timeout:g} s at {place}{cure}", ExitCode.UNREACHABLE)
 
 
 def _write_layouts(directory: Path | None, robot: RobotKeys) -> None:
-    """Write those of a robot, as ``cruiser review layouts`` does; once more when its bus is known."""
+    """Write a robot's layouts as ``cruiser review layouts`` does; again when its bus becomes known."""
     if directory is None:
         return
     try:

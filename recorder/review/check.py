@@ -1,12 +1,7 @@
-"""The proof that a log is what it says: its structure, and each channel.
+"""The check of a log: every byte, every checksum, every message, and the data it lacks.
 
-The check of what a file says of itself: heads of chunks, message indexes, statistics, and its summary.
-
-Of each chunk two numbers are kept until the summary is reached: 16 bytes, some 10 MB of a log of 10 GB.
-
-The check of a log, whether it is what it says, and what it lacks: every byte, every checksum, every message.
-
-In one pass, in memory that does not grow with the log but for 16 bytes a chunk and what each gap takes.
+One pass, in memory that grows with the log only by 16 bytes a chunk (about 10 MB for a log of 10 GB) and by its
+gaps.
 """
 
 from __future__ import annotations
@@ -62,7 +57,7 @@ class Structure:
         self._own: set[int] = set()
 
     def take_schema(self, schema: records.Schema, *, is_repeated: bool = False) -> bool:
-        """Take a schema of the data, or of the summary; report whether it is the first of its id."""
+        """Take a schema of the data or the summary. True if it is the first of its id."""
         before = self._schemas.get(schema.id)
         if is_repeated:
             if before is None or vars(before) != vars(schema):
@@ -76,7 +71,7 @@ class Structure:
         return before is None
 
     def take_channel(self, channel: records.Channel, *, is_repeated: bool = False) -> bool:
-        """Take a channel of the data, or of the summary; report whether it is the first of its id."""
+        """Take a channel of the data or the summary. True if it is the first of its id."""
         before = self._channels.get(channel.id)
         if is_repeated:
             if before is None or vars(before) != vars(channel):
@@ -95,15 +90,14 @@ class Structure:
         return before is None
 
     def count(self, kind: type) -> None:
-        """One more record of this kind."""
         self._counts[kind] += 1
 
     def take_messages(
         self, read: Read, bases: Sequence[int], offsets: Sequence[int]
     ) -> list[tuple[int, int] | None]:
-        """Take the messages of blocks; returns the first and the last log time of each, None if it has none.
+        """Take the messages of blocks. Returns the first and the last log time of each; None without messages.
 
-        ``bases`` is where each block begins in ``read.content``, and where all end; ``offsets`` are in the file.
+        ``bases`` are the blocks' starts in ``read.content``, then its end; ``offsets`` are in the file.
         """
         for channel, places in read.places.items():
             self.messages[channel] += len(places.offsets)
@@ -115,7 +109,7 @@ class Structure:
         log_ns = np.concatenate([places.log_ns(read.content) for places in read.places.values()])[order]
         self._start_ns = min(int(log_ns.min()), int(log_ns[0]) if self._start_ns is None else self._start_ns)
         self._end_ns = max(self._end_ns, int(log_ns.max()))
-        # What a recorder says itself is left out: it may have waited for a file.
+        # Without the recorder's own messages, which may have waited for a file.
         is_own = np.concatenate([np.full(len(one.offsets), key in self._own) for key, one in read.places.items()])
         received = ~is_own[order]
         times = np.concatenate([[np.uint64(self._newest_ns)], log_ns[received]])
@@ -130,15 +124,12 @@ class Structure:
         return spans
 
     def take_chunk(self, piece: PackedChunk, size: int, span: tuple[int, int] | None, *, is_indexed: bool) -> None:
-        """Take a chunk that could be read.
-
-        ``size`` is that of its records; ``span`` its first and last log time, None if there is no message.
-        """
+        """Take a readable chunk: the size of its records, and its first and last log time."""
         chunk = piece.described()
         if chunk.unpacked != size:
-            self._findings.file("a chunk's size is not the one that it says", piece.offset)
+            self._findings.file("a chunk states a wrong size", piece.offset)
         if (chunk.start_ns, chunk.end_ns) != (span or (0, 0)):
-            self._findings.file("a chunk's times are not those of its messages", piece.offset)
+            self._findings.file("a chunk states wrong times", piece.offset)
         if span is not None and not piece.places:
             self._findings.allowed("a chunk has no message indexes", piece.offset)
         if not is_indexed:
@@ -147,12 +138,11 @@ class Structure:
         self._digests.append(chunk.digest())
 
     def take_broken_chunk(self, piece: PackedChunk) -> None:
-        """A chunk that cannot be read: nothing of it can be compared but its place."""
+        """Take an unreadable chunk, of which only the place can be compared."""
         self._offsets.append(piece.offset)
         self._digests.append(0)
 
     def compare_statistics(self, statistics: records.Statistics) -> None:
-        """Compare the counts of the summary."""
         counted = {
             "messages": (statistics.message_count, self.messages.total()),
             "schemas": (statistics.schema_count, len(self._schemas)),
@@ -161,26 +151,24 @@ class Structure:
             "attachments": (statistics.attachment_count, self._counts[records.Attachment]),
             "metadata records": (statistics.metadata_count, self._counts[records.Metadata]),
         }
-        for name, (said, found) in counted.items():
-            if said != found:
-                self._findings.file(f"the file says that it holds {said} {name}; {found} were found")
+        for name, (stated, found) in counted.items():
+            if stated != found:
+                self._findings.file(f"the file states {stated} {name}; {found} were found")
         times = (self._start_ns or 0, self._end_ns)
         if (statistics.message_start_time, statistics.message_end_time) != times:
-            self._findings.file("the file's first and last time are not those of its messages")
-        said_of = statistics.channel_message_counts
-        if statistics.message_count and not said_of:
-            self._findings.allowed("the file does not say how many messages each channel has")
+            self._findings.file("the file states wrong first and last times")
+        by_channel = statistics.channel_message_counts
+        if statistics.message_count and not by_channel:
+            self._findings.allowed("the file does not state the number of messages of each channel")
             return
-        for channel_id in sorted(said_of.keys() | self.messages.keys()):
-            said, found = said_of.get(channel_id, 0), self.messages[channel_id]
-            if said != found:
+        for channel_id in sorted(by_channel.keys() | self.messages.keys()):
+            stated, found = by_channel.get(channel_id, 0), self.messages[channel_id]
+            if stated != found:
                 topic = self._channels[channel_id].topic if channel_id in self._channels else str(channel_id)
-                self._findings.file(
-                    f"the file says that it holds {said} messages; {found} were found", topic=topic
-                )
+                self._findings.file(f"the file states {stated} messages; {found} were found", topic=topic)
 
     def compare_summary(self, stream: BinaryIO) -> None:
-        """The indexes of the summary; one with a wrong checksum has been reported."""
+        """Compare the indexes of the summary; a wrong checksum has been reported."""
         summary = read_summary(stream)
         if summary is None:
             return
@@ -202,7 +190,7 @@ class Structure:
             indexed += 1
             place = at.get(chunk.offset)
             if place is None:
-                self._findings.file("the summary's index names a chunk that is not there", summary.start)
+                self._findings.file("the summary's index has a chunk that does not exist", summary.start)
             elif self._digests[place] not in {0, chunk.digest()}:
                 self._findings.file("the summary's index of a chunk is wrong", chunk.offset)
         if summary.chunks_at and indexed != len(self._offsets):
@@ -225,7 +213,6 @@ class Structure:
 def _facts(
     record: records.Attachment | records.AttachmentIndex | records.Metadata | records.MetadataIndex,
 ) -> tuple[object, ...]:
-    """The fields that a record and its index have in common."""
     match record:
         case records.Attachment():
             size = len(record.data)
@@ -236,18 +223,16 @@ def _facts(
     return record.name, record.media_type, record.log_time, record.create_time, size
 
 
-WAITING_BYTES_MAX: Final = 4_000_000
-"""Size at which the messages that wait are judged together."""
+WAITING_BYTES_MAX: Final = 4_000_000  # messages checked together
 
 
 class LogCheck(msgspec.Struct, frozen=True):
     """The result of checking a log.
 
     Attributes:
-        is_being_written: a recorder has it open; that it has no end yet is no finding.
-        frames_lost: raw frames that never came, by their alive counters; see ``frames.AliveCount``.
-        findings: the faults, those of the file first; ``untold`` more are about the file, too. Last is what is no
-            fault, and worth knowing.
+        is_being_written: a recorder has it open; its missing end is no finding.
+        frames_lost: raw frames that never arrived, by their alive counters; see ``AliveCount``.
+        findings: about the file, about the data, then what is allowed; ``untold`` more are about the file.
     """
 
     path: str
@@ -264,22 +249,18 @@ class LogCheck(msgspec.Struct, frozen=True):
 
     @property
     def is_sound(self) -> bool:
-        """Nothing is wrong with the file, and nothing is missing in it."""
+        """True without faults of the file and losses of data."""
         return all(one.about is About.ALLOWED for one in self.findings)
 
 
 def check_log(path: Path, progress: Progress = lambda _: None) -> LogCheck:
-    """Check a log.
-
-    Raises:
-        CommandError: there is no such file, or it is no MCAP file.
-    """
+    """Check a log; CommandError if there is no such file, or it is no MCAP file."""
     with open_log(path) as (stream, size):
         return _Check(stream, size, str(path), is_being_written=is_being_written(stream)).run(progress)
 
 
 def check_stream(stream: BinaryIO, size: int, path: str, progress: Progress = lambda _: None) -> LogCheck:
-    """As ``check_log``, of an open file that begins as MCAP does; ``path`` is what it is called."""
+    """As ``check_log``, for an open MCAP file; ``path`` is its name in findings."""
     return _Check(stream, size, path).run(progress)
 
 
@@ -385,14 +366,14 @@ class _Check:
 
     def _broken(self, piece: PackedChunk | MessageBlock, why: str) -> None:
         if isinstance(piece, PackedChunk):
-            # Without the figures, which differ from chunk to chunk.
+            # Without figures, which differ between chunks.
             self._findings.file(f"a chunk cannot be read: {why.partition(',')[0]}", piece.offset)
             self._structure.take_broken_chunk(piece)
         else:
             self._findings.file(f"a message cannot be read: {why}", piece.offset)
 
     def _judge(self) -> None:
-        """Judge the messages that wait."""
+        """Check the waiting messages."""
         pieces, pending = self._pieces, self._pending
         if not pieces:
             return
@@ -420,4 +401,4 @@ class _Check:
                 continue
             for number in channel.take(read.content, places):
                 block = bisect_right(pending.bases, int(places.starts[number])) - 1
-                self._findings.file("messages are not what their schema says", offsets[block], topic=channel.topic)
+                self._findings.file("messages do not match their schema", offsets[block], topic=channel.topic)

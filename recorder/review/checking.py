@@ -1,10 +1,10 @@
-"""The parts of ``check``: each proves one thing of a channel.
+"""The parts of ``check`` that concern a channel.
 
-- Samples that never came, by the gaps in the sequences of their messages; in one log, and between several.
+- Samples that never arrived, by the gaps in their sequences; in one log, and between several.
 - Raw frames lost on the way from the chassis, by their alive counters; see ``schemas.can_word``.
 - The state of one channel while a log is checked.
 
-Messages are what their schema says where they can be decoded: ours as columns, many at once, others one by one.
+Messages match their schema if they can be decoded: ours as columns, many at once, others one by one.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ from schemas.recording import RecorderEvent, RecordGap
 from schemas.subjects import SCHEMA_PREFIX, SUBJECTS
 
 Proof = Callable[[Bytes, Places], Sequence[int]]
-"""Messages of a channel to the numbers of those that are not what their schema says."""
+"""Messages of a channel to the numbers of those that do not match their schema."""
 
 _OURS: Final = {
     **{schema_name(kind): (kind, descriptor_set(kind)) for kind in LOGGED},
     SCHEMA_NAME: (None, SCHEMA_DATA),
 }
-"""Schemas that this version writes: class, if it is one of ours, and schema."""
+"""Schemas of this version: class, if it is one of ours, and schema."""
 
 ANY_JSON: Final = msgspec.json.Decoder(msgspec.Raw).decode
 
 
 def faults_of_schema(schema: records.Schema) -> list[str]:
-    """The faults of a schema: it cannot be read, or is another than this version writes under that name."""
+    """The faults of a schema: it cannot be read, or differs from this version's schema of that name."""
     if schema.encoding == "protobuf" and foreign_decoder(schema.name, schema.data) is None:
         return [f"the schema {schema.name} cannot be read"]
     # MCAP allows an empty one: any JSON.
@@ -59,12 +59,12 @@ def faults_of_schema(schema: records.Schema) -> list[str]:
         kind, data = _OURS[schema.name]
         is_same = schema.data == data or (kind is not None and means_the_same(kind, schema.data))
         if schema.encoding != "protobuf" or not is_same:
-            return [f"the schema {schema.name} is not the one that this version writes"]
+            return [f"the schema {schema.name} differs from this version's"]
     return []
 
 
 def proof_of(channel: records.Channel, schema: records.Schema | None) -> Proof | None:
-    """The proof of a channel's messages; None if nobody here can read them."""
+    """The proof of a channel's messages; None if they cannot be decoded."""
     if channel.message_encoding == "json":
         return lambda content, places: _undecodable(datas(content, places), ANY_JSON)
     if channel.message_encoding != "protobuf" or schema is None:
@@ -77,7 +77,6 @@ def proof_of(channel: records.Channel, schema: records.Schema | None) -> Proof |
 
 
 def datas(content: Bytes, places: Places) -> Iterator[bytes]:
-    """The data of each message."""
     for start, length in zip(places.offsets.tolist(), places.lengths.tolist(), strict=True):
         yield content[start : start + length].tobytes()
 
@@ -109,35 +108,28 @@ def _unreadable(kind: type[msgspec.Struct], content: Bytes, places: Places) -> l
 Times = NDArray[np.uint64]
 
 _WITHOUT_SEQUENCE: Final = {schema_name(kind) for kind in (RawSample, GatewayInfo, RecorderEvent, RecordGap)}
-"""A recorder's own words are counted over all its logs, and each log holds those that are about it."""
+"""A recorder numbers its own messages over all its logs, and each log has only those that concern it."""
 
 KEPT: Final = frozenset(subject.schema_name for subject in SUBJECTS if subject.qos.kept_bytes)
-"""Schemas of samples that a recorder may ask for after they went by."""
+"""Schemas of samples that a recorder may query later."""
 
-BATCH_NS: Final = 1_000_000_000
-"""The same sequence later than this is another gateway's."""
-
-RUNS_MAX: Final = 4096
-"""Beyond this many they are put in order meanwhile."""
-
-RETURNS_MIN: Final = 10
-"""So many times a sequence has to go on where it was before the sample between, until two sources are believed."""
-
-NEAR: Final = 16
-"""Samples this near to each other may have overtaken one another."""
+BATCH_NS: Final = 1_000_000_000  # the same sequence later than this is another gateway's
+RUNS_MAX: Final = 4096  # runs beyond which they are merged
+RETURNS_MIN: Final = 10  # alternations of a sequence from which two sources are assumed
+NEAR: Final = 16  # samples this near to each other may have changed their order
 
 
 def has_sequence(schema: str) -> bool:
-    """Report whether a gap in the sequence says something, by the schema's name."""
+    """True if a gap in the sequence is a loss, by the schema's name."""
     return schema.startswith(f"{SCHEMA_PREFIX}.") and schema not in _WITHOUT_SEQUENCE
 
 
 class FollowingCount:
-    """Counts messages that are in the file in their order; the frames of a batch share its sequence.
+    """Counts messages that are in order in the file; the frames of a batch share its sequence.
 
     Attributes:
         first_ns: log time of the message behind the first gap; None if there is none.
-        returns: how often the sequence went on where it was before the sample between.
+        returns: how often the sequence continued from before the previous sample.
     """
 
     def __init__(self) -> None:
@@ -147,11 +139,11 @@ class FollowingCount:
 
     @property
     def has_two_sources(self) -> bool:
-        """Two sources take turns; what either lost is not known."""
+        """True if two sources alternate; their losses are unknown."""
         return self.returns >= RETURNS_MIN
 
     def take(self, sequences: Numbers, log_ns: Times) -> None:
-        """Count the next messages, by the columns of their headers."""
+        """Count the next messages."""
         joined = np.concatenate([np.array(self._last, np.int64), sequences])
         is_new = np.diff(joined, prepend=-1) != 0
         distinct = joined[is_new]
@@ -161,7 +153,7 @@ class FollowingCount:
             self.returns += int(np.count_nonzero(goes_on & (np.abs(steps[1:]) > NEAR)))
         gaps = (steps - 1) % SEQUENCE_SPAN
         gaps[gaps >= RESTART_STEP] = 0
-        # The two messages before have been counted.
+        # The last two messages have been counted.
         gaps[: max(0, len(self._last) - 1)] = 0
         self.missed += int(gaps.sum())
         if self.first_ns is None and gaps.any():
@@ -171,7 +163,7 @@ class FollowingCount:
 
 
 class SequenceRun(msgspec.Struct):
-    """Messages whose sequences follow each other."""
+    """Messages with successive sequences."""
 
     first: int
     last: int
@@ -179,7 +171,7 @@ class SequenceRun(msgspec.Struct):
     last_ns: int
 
     def join(self, other: SequenceRun) -> bool:
-        """Add a run that begins no earlier. Return False if it neither follows this one nor is a part of it."""
+        """Add a run that begins no earlier. False if it neither follows this one nor is a part of it."""
         length, begins, ends = (
             (sequence - self.first) % SEQUENCE_SPAN for sequence in (self.last, other.first, other.last)
         )
@@ -195,7 +187,7 @@ class SequenceRun(msgspec.Struct):
 
 
 class InTimeCount:
-    """Counts messages that a recorder may have asked for later: only their publish time gives their place then."""
+    """Counts messages that a recorder may have queried later, so that only the publish time gives their order."""
 
     has_two_sources: Final = False
 
@@ -205,16 +197,15 @@ class InTimeCount:
 
     @property
     def missed(self) -> int:
-        """Samples that never came."""
         return sum(step or 0 for _, _, step in self.gaps())
 
     @property
     def first_ns(self) -> int | None:
-        """The time of the sample before the first of them."""
+        """The time of the sample before the first gap."""
         return next((before.last_ns for before, _, step in self.gaps() if step), None)
 
     def take(self, sequences: Numbers, publish_ns: Times) -> None:
-        """Count the next messages, by the columns of their headers."""
+        """Count the next messages."""
         steps, times_ns = np.diff(sequences), publish_ns.astype(np.float64)
         follows = (steps == 1) | ((steps == 0) & (np.diff(times_ns) <= BATCH_NS))
         begins = np.flatnonzero(np.concatenate([[True], ~follows]))
@@ -226,7 +217,7 @@ class InTimeCount:
             self._limit = RUNS_MAX + 2 * len(self.runs())
 
     def runs(self) -> list[SequenceRun]:
-        """Return the runs, in the order of time."""
+        """The runs in order of time."""
         joined: list[SequenceRun] = []
         for run in sorted(self._runs, key=attrgetter("first_ns", "first")):
             if not joined or not joined[-1].join(run):
@@ -235,7 +226,7 @@ class InTimeCount:
         return joined
 
     def gaps(self) -> Iterator[tuple[SequenceRun, SequenceRun, int | None]]:
-        """The runs around each gap, and how many sequences are missing; None where the source started again."""
+        """The runs around each gap, and the number of missing sequences; None where the source restarted."""
         for before, after in pairwise(self.runs()):
             step = (after.first - before.last - 1) % SEQUENCE_SPAN
             yield before, after, step if step < RESTART_STEP else None
@@ -254,7 +245,7 @@ class Between(msgspec.Struct, frozen=True):
     """Samples of a robot that are missing between two logs.
 
     Attributes:
-        samples: how many, on so many ``topics``.
+        samples, topics: their numbers.
         from_ns, to_ns: log times of the last message before, and of the first one after.
     """
 
@@ -268,9 +259,9 @@ class Between(msgspec.Struct, frozen=True):
 
 
 def between(logs: Iterable[tuple[str, dict[str, ChannelEnds]]]) -> list[Between]:
-    """Find what is in none of the logs, of which each has a path, and the ends of its channels by topic.
+    """Find samples missing in all logs, given as path and ends of the channels by topic.
 
-    Where a gateway started again between two logs, nothing is counted.
+    A restart of the gateway between two logs is no loss.
     """
     by_topic: dict[str, list[tuple[ChannelEnds, str]]] = {}
     for path, ends in logs:
@@ -299,11 +290,8 @@ def between(logs: Iterable[tuple[str, dict[str, ChannelEnds]]]) -> list[Between]
 
 FRAME_BYTES: Final = 8
 
-COUNTER_AT: Final = 6
-"""The byte whose upper half is the counter."""
-
-FAR_NS: Final = 60_000_000_000
-"""A gap of this length may be a step of the robot's clock."""
+COUNTER_AT: Final = 6  # the byte whose upper half is the counter
+FAR_NS: Final = 60_000_000_000  # a longer gap may be a step of the robot's clock
 
 _COLUMNS: Final = ("time_ns", "identifier", "is_extended", "is_remote", "is_error", "data")
 
@@ -333,10 +321,9 @@ class AliveCount:
 
     Attributes:
         corrupt: frames with a wrong checksum; their counter is not read, and they are not lost.
-        outages: gaps in time in which the counter may have gone round, and steps back of the clock.
-        unseen: frames lost in outages beyond those that the counter passed over: 16 for each time that it went
-            round. Over a gap of FAR_NS the clock may have been set: that is not judged.
-        first_ns: when each of these was seen for the first time, by the name of the count.
+        outages: gaps in time in which the counter may have wrapped, and steps back of the clock.
+        unseen: frames lost in outages by whole wraps of the counter, 16 each; not counted beyond FAR_NS.
+        first_ns: time of the first of each count, by its name.
     """
 
     def __init__(self, frame: MessageLayout) -> None:
@@ -351,21 +338,21 @@ class AliveCount:
 
     @property
     def unseen(self) -> int:
-        """As above; what is not judged yet counts by what has come so far."""
+        """As above, including outages that are not over."""
         return self._rounds.lost_so_far
 
     def forget_losses(self) -> None:
-        """Frames of two sources stand among each other: how many are missing is not known."""
+        """Reset the losses: with two sources they are unknown."""
         self.lost = self.repeated = self.outages = 0
         self._rounds = UnseenRounds(self._period_ns)
 
     def restart(self) -> None:
-        """Another gateway receives the frames from here on: what came between the two was not lost on the way."""
+        """Note a restart of the gateway: the frames between were not lost on the way."""
         self._rounds.judge()
         self._is_first = True
 
     def receive(self, times_ns: Numbers, frames: NDArray[np.uint8]) -> None:
-        """The next frames: when they were received, and the eight bytes of each."""
+        """Count the next frames: times of receipt, and eight bytes each."""
         is_corrupt = np.bitwise_xor.reduce(frames, axis=1) != 0
         counters = frames[:, COUNTER_AT] >> 4
         gaps_ns = np.diff(times_ns, prepend=self._time_ns)
@@ -416,7 +403,7 @@ class FrameCount:
         self.counts: dict[int, AliveCount] = {}
 
     def take(self, content: Bytes, places: Places, restarts: Sequence[int] = ()) -> list[int]:
-        """Take messages of the channel that follow each other. Returns the numbers of those that are no frames."""
+        """Take the next messages of the channel. Returns the numbers of those that are no frames."""
         decoder = _decoder(CanFrame, *_COLUMNS)
         batch = decoder.batch(content, places)
         numbers = np.delete(np.arange(len(places.offsets)), decoder.left_out)
@@ -443,7 +430,6 @@ class FrameCount:
         return decoder.left_out
 
     def info(self, topic: str) -> list[FrameInfo]:
-        """All counts; the channel's topic is theirs."""
         names = FrameInfo.__struct_fields__[2:]
         return [
             FrameInfo(topic, f"0x{identifier:08X}", *(getattr(count, name) for name in names))
@@ -454,14 +440,14 @@ class FrameCount:
 _CAN_FRAME: Final = schema_name(CanFrame)
 _RECORD_GAP: Final = schema_name(RecordGap)
 
-_TWO_SOURCES: Final = "two gateways speak under one name: what either lost is not known"
+_TWO_SOURCES: Final = "two gateways publish under one name: their losses are unknown"
 
 _FRAME_FAULTS: Final = {
     "lost": "frames lost, by the alive counter",
-    "repeated": "frames with the alive counter of the one before",
+    "repeated": "frames with a repeated alive counter",
     "corrupt": "frames with a wrong checksum",
-    "outages": "gaps in time in which the alive counter may have gone round, or steps back",
-    "unseen": "frames lost in these by whole rounds of the alive counter, by the period",
+    "outages": "gaps in time in which the alive counter may have wrapped, or steps back of the clock",
+    "unseen": "frames lost in these by whole wraps of the alive counter, by the period",
 }
 
 
@@ -469,9 +455,9 @@ class ChannelCheck(msgspec.Struct, frozen=True):
     """A channel.
 
     Attributes:
-        is_read: its messages were held against its schema; of an encoding that is not known here they cannot be.
-        missed: samples that never came, by the gaps in ``sequence``; None where a gap says nothing.
-        ends: its first and last message; None where a gap says nothing, and for messages that may have come later.
+        is_read: its messages were compared with its schema; not for unknown encodings.
+        missed: samples that never arrived, by the gaps in ``sequence``; None if gaps are no losses.
+        ends: its first and last message; None if gaps are no losses, or messages may have been queried later.
     """
 
     topic: str
@@ -492,7 +478,7 @@ class Channel:
         self._encoding = record.message_encoding
         self._schema = "" if schema is None else schema.name
         self._findings = findings
-        # Which of our own it is; of others nothing more is known.
+        # The schema, if it is one of ours.
         self._kind = self._schema if record.message_encoding == "protobuf" else ""
         self.frames = FrameCount() if self._kind == _CAN_FRAME else None
         self._proof = proof_of(record, schema)
@@ -506,7 +492,7 @@ class Channel:
         self._restarted_ns: int | None = None
 
     def take(self, content: Bytes, places: Places) -> list[int]:
-        """Take messages of the channel; returns the numbers of those that are not what their schema says."""
+        """Take messages of the channel. Returns the numbers of those that do not match their schema."""
         self._messages += len(places.offsets)
         restarts = self._take_sequences(content, places) if self._samples is not None else []
         if self._kind == _RECORD_GAP:
@@ -520,7 +506,7 @@ class Channel:
         return list(wrong)
 
     def _take_sequences(self, content: Bytes, places: Places) -> list[int]:
-        """Returns the numbers of raw frames before which another gateway began: it counts its batches from 0."""
+        """Returns the numbers of raw frames at which a gateway restarted: it counts its batches from 0."""
         sequences = places.sequences(content).astype(np.int64)
         log_ns = places.log_ns(content)
         if isinstance(self._samples, InTimeCount):
@@ -541,17 +527,17 @@ class Channel:
         return restarts
 
     def _tell_gaps(self, content: Bytes, places: Places) -> None:
-        """Add what the recorder says that it could not write."""
+        """Add the losses reported by the recorder."""
         for data in datas(content, places):
             try:
                 gap: RecordGap = typed_decoder(RecordGap)(data)
             except UNREADABLE:
                 continue
-            what = f"not in the log, as its recorder says ({gap.reason.value})"
+            what = f"lost by the recorder ({gap.reason.value})"
             self._findings.data(what, gap.key, gap.count, gap.first_ns)
 
     def sum_up(self) -> ChannelCheck:
-        """All of it, and what is missing."""
+        """Sum up the channel, and add its losses to the findings."""
         has_two_sources = self._samples is not None and self._samples.has_two_sources
         missed = None if self._samples is None else 0 if has_two_sources else self._samples.missed
         if has_two_sources:
@@ -573,7 +559,7 @@ class Channel:
 
     def _sum_up_frames(self, frames: FrameCount, *, has_two_sources: bool) -> None:
         if self._restarts and frames.counts and not has_two_sources:
-            what = "times without a gateway, whose frames nobody received: another one began then"
+            what = "restarts of the gateway: the frames between were not received"
             self._findings.data(what, self.topic, self._restarts, self._restarted_ns)
         for _, alive in sorted(frames.counts.items()):
             if has_two_sources:

@@ -1,11 +1,11 @@
 """Messages of a log as Arrow columns, topic by topic, without a loop over messages.
 
-Unsigned numbers of 32 bits become int64, and so do those of 64 bits whose schema bounds them: a difference of
-two is then a number in SQL too. Enumerations become names, of our own classes the values that the typed messages
-have. A topic that cannot be decoded has one column, ``json`` or ``data``.
+Unsigned numbers of 32 bits become int64, and so do those of 64 bits with bounds in their schema, so that SQL can
+subtract them. Enumerations become names; for our own classes, the values of the typed messages. A topic that
+cannot be decoded has one column, ``json`` or ``data``.
 
-ptars, which is Rust, reads many protobuf messages at once. It knows the fields under names of their own: of
-``google.protobuf.Timestamp`` and others that it knows by name it would make times, which hold less.
+The Rust library ptars reads many protobuf messages at once. It gets artificial names of fields and messages,
+because it would turn ``google.protobuf.Timestamp`` and others into times of less range.
 """
 
 from __future__ import annotations
@@ -57,17 +57,17 @@ NAMES_TYPE: Final = pa.dictionary(pa.int32(), pa.string())
 
 
 class EnumNames:
-    """The names of an enumeration's numbers, each with a place; one without a name gets one when it is met."""
+    """The names of an enumeration's numbers, each with a place; unknown numbers are added when they occur."""
 
     def __init__(self, names: Mapping[int, str]) -> None:
         self._names = list(names.values())
         self._places = {number: place for place, number in enumerate(names)}
         self._first = next(iter(names))
-        # Where a number is its own place, as in all classes of ours, nothing has to be looked up.
+        # If each number is its own place, as in all our classes, no lookup is needed.
         self._dense = len(names) if list(names) == list(range(len(names))) else 0
 
     def named(self, numbers: pa.Array, kind: pa.DataType) -> pa.Array:
-        """The names of numbers, as a dictionary array or as one of texts."""
+        """The names of numbers, as a dictionary or text array."""
         places = self._places_of(numbers.fill_null(self._first).to_numpy())
         indices = pa.array(places, pa.int32(), mask=np.asarray(numbers.is_null()) if numbers.null_count else None)
         names = pa.array(self._names, pa.string())
@@ -91,11 +91,11 @@ class Field(msgspec.Struct, frozen=True, eq=False):
     """A field.
 
     Attributes:
-        wire_type: how it is read, a descriptor's type of field: an enumeration as a number, and a message within
-            itself as bytes.
-        oneof: the group of which a message holds one at most, itself alone if it may be absent in any other way;
-            empty for a number or text that has its default where it is absent.
-        within: the fields of a message; None if it is none.
+        wire_type: the descriptor's type that is read: for an enumeration a number, for a recursive message bytes.
+        oneof: the group of fields of which a message has at most one, perhaps only this one; empty for a field
+        that
+            has its default when absent.
+        within: the fields of a message; None for other types.
     """
 
     name: str
@@ -111,30 +111,21 @@ class Field(msgspec.Struct, frozen=True, eq=False):
 
 
 class Known(msgspec.Struct, frozen=True):
-    """Facts about our own classes that their descriptors lack.
-
-    Attributes:
-        values: of each enumeration the values of its members, in order.
-        units: by class and field.
-    """
+    """Facts about our own classes beside their descriptors: values of enumerations, units by class and field."""
 
     values: dict[str, list[str]]
     units: dict[tuple[str, str], str]
 
 
-# Descriptors are of one class where protobuf is in Python, and of another where it is in C.
+# The class of descriptors depends on protobuf's implementation, Python or C.
 def fields_of(descriptor: Any, known: Known | None = None, outer: tuple[str, ...] = ()) -> tuple[Field, ...]:  # noqa: ANN401
-    """The fields of a class, in their order; ``known`` if it is ours.
-
-    Raises:
-        TypeError: it has a field of a kind that nobody writes any more: a group.
-    """
+    """The fields of a class, in order; ``known`` if it is ours. TypeError if it has a group, which is obsolete."""
     outer = (*outer, descriptor.full_name)
     return tuple(_field(field, known, outer) for field in descriptor.fields)
 
 
 def own_fields(kind: type[msgspec.Struct]) -> tuple[Field, ...]:
-    """The fields of a class of ours, of their own each time: names that are met stay in them."""
+    """New fields of a class of ours: they collect unknown names."""
     return fields_of(message_class(kind).DESCRIPTOR, _known(kind))
 
 
@@ -154,7 +145,7 @@ def _field(field: Any, known: Known | None, outer: tuple[str, ...]) -> Field:  #
         wire_type, kind = _F.TYPE_BYTES, pa.binary()
     elif wire_type == _F.TYPE_ENUM:
         wire_type, names = _F.TYPE_INT32, _enum_names(field.enum_type, known)
-        # Some readers, DuckDB among them, know no dictionaries within lists.
+        # Some readers, such as DuckDB, support no dictionaries within lists.
         kind = NAMES_TYPE if len(outer) == 1 and not field.is_repeated else pa.string()
     elif wire_type not in _TYPES:
         raise TypeError(f"{field.name} is a group")
@@ -213,14 +204,13 @@ def _enums(kind: type[msgspec.Struct]) -> Iterator[type[Enum]]:
 
 
 def _unit(described: Mapping[str, Any]) -> str:
-    """The unit in the JSON Schema of a field, whatever lists and nulls are around it."""
+    """The unit in the JSON Schema of a field, within lists and nulls."""
     options = [described, described.get("items", {}), *described.get("anyOf", ())]
     return next((str(one[UNIT_KEYWORD]) for one in options if UNIT_KEYWORD in one), "")
 
 
 TIME_TYPE: Final = pa.timestamp("ns", "UTC")
-TIME_MAX_NS: Final = 2**63 - 1
-"""The last time that Arrow can hold."""
+TIME_MAX_NS: Final = 2**63 - 1  # the last time of Arrow
 
 LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC = "log_time", "publish_time", "sequence", "robot", "topic"
 
@@ -232,11 +222,9 @@ HEAD: Final = (
 """The first columns of every table: time of receipt, the source's time, and the source's count."""
 
 RESERVED: Final = frozenset({LOG_TIME, PUBLISH_TIME, SEQUENCE, ROBOT, TOPIC, "date"})
-"""Names that no field may have, for a dataset's directories are columns too."""
+"""Names that no field may have: a dataset's directories are columns too."""
 
-FIELD_PREFIX: Final = "message_"
-"""Before the name of a field that a column has already."""
-
+FIELD_PREFIX: Final = "message_"  # before a field's name that is taken
 UNIT_KEY: Final = b"unit"
 
 
@@ -245,11 +233,11 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
     Attributes:
         table: its name in SQL: ``chassis_drive``, ``can_rx``.
-        place: the topic without root and robot, if it is a key of ours: ``chassis/drive``, ``can/can0/rx``.
-        robot: the robot's name; empty if it is no robot's.
-        schema: of the record batches; a field with a unit has it as metadata.
-        read: a message's bytes to one of the protobuf package; None if it is no protobuf.
-        fields: of such a message, those that are columns.
+        place: for our keys, the topic without root and robot: ``chassis/drive``, ``can/can0/rx``.
+        robot: the robot's name; empty if there is none.
+        schema: of the record batches, with units as metadata.
+        read: bytes to a message of the protobuf package; None if it is not protobuf.
+        fields: the fields that are columns.
     """
 
     topic: Topic
@@ -262,7 +250,6 @@ class Columns(msgspec.Struct, frozen=True, eq=False):
 
 
 def columns_of(topic: Topic) -> Columns:
-    """The columns of a topic."""
     place, robot = place_of(topic)
     columns = list(HEAD)
     read, fields = _protobuf(topic)
@@ -278,7 +265,7 @@ def columns_of(topic: Topic) -> Columns:
 
 def _column(field: Field, taken: set[str]) -> pa.Field:
     name = field.name
-    # SQL does not tell upper case from lower.
+    # SQL ignores case.
     while name.lower() in taken:
         name = FIELD_PREFIX + name
     taken.add(name.lower())
@@ -286,7 +273,7 @@ def _column(field: Field, taken: set[str]) -> pa.Field:
 
 
 def _protobuf(topic: Topic) -> tuple[Callable[[bytes], Any] | None, tuple[Field, ...] | None]:
-    """Return a topic's decoder and fields; None twice if no decoder is known."""
+    """A topic's decoder and fields; None twice if it cannot be decoded."""
     if topic.kind is not None:
         # The sequence of a message of ours is that of its record.
         fields = tuple(field for field in own_fields(topic.kind) if field.name != SEQUENCE)
@@ -308,8 +295,8 @@ class Decoder:
     """Turns the messages of a topic into record batches.
 
     Attributes:
-        left_out: numbers of those messages of the last batch that could not be read.
-        broken: number of such messages so far.
+        left_out: numbers of the unreadable messages of the last batch.
+        broken: number of unreadable messages so far.
     """
 
     def __init__(self, columns: Columns, wanted: Collection[str] | None = None) -> None:
@@ -324,7 +311,7 @@ class Decoder:
         self._handler: Any = None if columns.fields is None else _handler(columns.fields)
 
     def batch(self, content: Bytes, places: Places) -> pa.RecordBatch:
-        """The messages at these places. Those that cannot be read are left out and counted."""
+        """The messages at these places; unreadable ones are left out and counted."""
         messages = _messages(content, places)
         found, self.left_out = self._read(messages), []
         if found is None:
@@ -341,7 +328,7 @@ class Decoder:
         return pa.RecordBatch.from_arrays([*(head[place] for place in self._head), *found], schema=self.schema)
 
     def _read(self, messages: pa.Array) -> list[pa.Array] | None:
-        """The wanted columns behind the head; None if one of the messages cannot be read."""
+        """The wanted columns behind the head; None if a message cannot be read."""
         fields = self.columns.fields
         try:
             if fields is None:
@@ -352,7 +339,7 @@ class Decoder:
         except ValueError:
             return None
         except BaseException as error:
-            # What Rust calls a panic, which pyo3 does not let anybody import.
+            # A Rust panic, whose class pyo3 does not export.
             if type(error).__name__ != "PanicException":
                 raise
             return None
@@ -368,7 +355,7 @@ class Decoder:
 
 
 def _messages(content: Bytes, places: Places) -> pa.Array:
-    """The data of each message: every other piece of the content, cut where one begins and where it ends."""
+    """The data of each message: every other piece of the content, cut at their starts and ends."""
     cuts = np.empty(2 * len(places.offsets), np.int32)
     cuts[0::2], cuts[1::2] = places.offsets, places.offsets + places.lengths
     pieces = pa.Array.from_buffers(
@@ -378,16 +365,12 @@ def _messages(content: Bytes, places: Places) -> pa.Array:
 
 
 def _times(numbers: NDArray[np.unsignedinteger]) -> pa.Array:
-    """Nanoseconds since 1970 as Arrow has them: those beyond what it can hold are the last that it can."""
+    """Nanoseconds since 1970 as Arrow times, limited to TIME_MAX_NS."""
     return pa.array(np.minimum(numbers, np.uint64(TIME_MAX_NS)).astype(np.int64)).view(TIME_TYPE)
 
 
 def _shown(field: Field, read: pa.Array) -> pa.Array:
-    """A column as it was read in the type that it is shown in.
-
-    Raises:
-        ValueError: a number is beyond its bounds.
-    """
+    """A column in its final type; ValueError if a number is beyond its bounds."""
     if field.is_map:
         key, value = field.within or ()
         return pa.MapArray.from_arrays(read.offsets, _shown(key, read.keys), _shown(value, read.items))
@@ -408,7 +391,6 @@ def _values(field: Field, read: pa.Array, kind: pa.DataType) -> pa.Array:
 
 
 def _handler(fields: tuple[Field, ...]) -> Any:  # noqa: ANN401 - of a class without a name
-    """Return a decoder of messages with these fields."""
     file = FileDescriptorProto(name="columns.proto", syntax="proto3")
     _declare(file.message_type.add(name="Columns"), fields, ".Columns")
     pool = DescriptorPool()
@@ -417,7 +399,7 @@ def _handler(fields: tuple[Field, ...]) -> Any:  # noqa: ANN401 - of a class wit
 
 
 def _declare(message: DescriptorProto, fields: tuple[Field, ...], path: str) -> None:
-    """Give a class its fields, each message within it a class of its own."""
+    """Add the fields to a class, with nested classes for messages."""
     groups: dict[str, int] = {}
     for place, field in enumerate(fields):
         one = message.field.add(
@@ -440,8 +422,7 @@ def _declare(message: DescriptorProto, fields: tuple[Field, ...], path: str) -> 
             one.oneof_index = groups[field.oneof]
 
 
-BATCH_BYTES: Final = 4_000_000
-"""So much is unpacked at once: enough that the work on a batch is more than that around it."""
+BATCH_BYTES: Final = 4_000_000  # unpacked at once, to amortise the cost of a batch
 
 
 class Batch(msgspec.Struct, frozen=True, eq=False):
@@ -473,7 +454,6 @@ class ColumnReader(BlockReader):
         self._decoders: dict[int, Decoder] = {}
 
     def batches(self, progress: Progress) -> Iterator[Batch]:
-        """The wanted batches."""
         pending = Blocks()
         for block, index in self.blocks(progress):
             pending.add(block, index)

@@ -26,12 +26,7 @@ CHUNK_BYTES: Final = 1 << 20
 
 
 class CutLog(msgspec.Struct, frozen=True):
-    """The result of a cut.
-
-    Attributes:
-        path: the new file.
-        start_ns, end_ns: the first and the last log time; None if it holds no message.
-    """
+    """The new file; its first and last log time are None if it holds no message."""
 
     path: str
     bytes: int
@@ -49,10 +44,10 @@ def cut(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> CutLog:
-    """Write the messages of a time and of some topics into a new file, with all metadata and attachments.
+    """Write the messages of a period and of some topics into a new file, with all metadata and attachments.
 
     Raises:
-        CommandError: the file is there already, or cannot be written, or no topic is of the patterns.
+        CommandError: the file exists or cannot be written, or no topic matches.
     """
     about = {
         "files": log.path.name,
@@ -67,7 +62,7 @@ def cut(
     found = survey([log], faults)
     wanted = [topic for topic in found.topics.values() if wants(topic)]
     if topics and not wanted:
-        raise CommandError("no topic is of these patterns", ExitCode.USAGE)
+        raise CommandError("no topic matches these patterns", ExitCode.USAGE)
     with new_file(path) as out:
         part = _Part(McapFile(out, f"cruiser-gateway {version('cruiser-gateway')}", _profile(log)))
         selection = Selection(wants, selection.from_ns, selection.to_ns)
@@ -95,7 +90,7 @@ def cut(
 
 
 def _profile(log: LogFile) -> str:
-    """Return the promise of the file's header; nothing where that cannot be read."""
+    """The profile in the file's header; empty if it cannot be read."""
     with suppress(OSError, DamagedError), log.open() as stream:
         header = record_at(stream, FIRST_RECORD, records.Header)
         return "" if header is None else str(header.profile)
@@ -103,12 +98,7 @@ def _profile(log: LogFile) -> str:
 
 
 class _Part:
-    """The new file, chunk by chunk.
-
-    Attributes:
-        declared: its channels' ids.
-        times: the first and the last log time of each chunk.
-    """
+    """The new file, chunk by chunk; ``times`` are the first and the last log time of each chunk."""
 
     def __init__(self, file: McapFile) -> None:
         self.file = file
@@ -117,20 +107,19 @@ class _Part:
         self._builder = ChunkBuilder(CHUNK_BYTES)
 
     def declare(self, topic: Topic) -> int:
-        """Return the id of a topic's channel, which is declared when it is met."""
+        """The id of a topic's channel, which is declared if it is new."""
         if topic not in self.declared:
             self.declared[topic] = len(self.declared) + 1
             self.file.add_channel(_channel(self.declared[topic], topic))
         return self.declared[topic]
 
     def add(self, row: Row) -> None:
-        """Add a message."""
         self._builder.add(self.declare(row.topic), row.sequence, row.log_ns, row.publish_ns, row.data)
         if self._builder.is_full:
             self.seal()
 
     def seal(self) -> None:
-        """Write the messages that wait."""
+        """Write the waiting messages."""
         chunk = self._builder.seal()
         if chunk is not None:
             self.file.write_chunk(chunk)

@@ -1,9 +1,8 @@
 """Logs as datasets of Parquet files by topic, robot and date, and as CSV.
 
-Directories are named as Hive does, ``topic=.../robot=.../date=YYYY-MM-DD``. What is there is never overwritten:
-files are written in a hidden directory beside, moved when all are whole, and named by ``manifest.json`` last. In
-CSV and JSON times are ISO 8601 in UTC, to the nanosecond, and bytes hexadecimal in a cell of their own, else
-base64.
+Directories have Hive's names, ``topic=.../robot=.../date=YYYY-MM-DD``. No file is overwritten: files are written
+in a hidden directory, moved when all are finished, and ``manifest.json`` comes last. In CSV and JSON times are ISO
+8601 in UTC, to the nanosecond; bytes are hexadecimal in their own cell, else base64.
 """
 
 from __future__ import annotations
@@ -39,11 +38,7 @@ _BLOCK_BYTES: Final = 1 << 20
 
 
 class Column(msgspec.Struct, frozen=True):
-    """A column.
-
-    Attributes:
-        unit: empty if it has none, or none is known.
-    """
+    """A column; ``unit`` is empty if it is unknown."""
 
     name: str
     type: str
@@ -54,9 +49,9 @@ class Input(msgspec.Struct, frozen=True):
     """A log that was read.
 
     Attributes:
-        path: as it was given; with escapes where it cannot be printed.
-        sha256: of the whole file, in hexadecimal.
-        faults: parts that could not be read; ``fault_count`` of them, the first ones listed.
+        path: as given, with escapes where it cannot be printed.
+        sha256: of the whole file, hexadecimal.
+        faults: the first of ``fault_count`` unreadable parts.
     """
 
     path: str
@@ -68,12 +63,7 @@ class Input(msgspec.Struct, frozen=True):
 
 
 class Part(msgspec.Struct, frozen=True):
-    """A Parquet file.
-
-    Attributes:
-        robot: empty if it is no robot's.
-        columns: key into the manifest's ``schemas``.
-    """
+    """A Parquet file; ``columns`` is the key in the manifest's ``schemas``."""
 
     path: str
     table: str
@@ -85,11 +75,7 @@ class Part(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """The manifest.
-
-    Attributes:
-        schemas: columns by a hash of them.
-    """
+    """The manifest; ``schemas`` are columns by their hash."""
 
     format: str
     version: int
@@ -100,11 +86,7 @@ class Manifest(msgspec.Struct, frozen=True):
 
 
 def read_manifest(directory: Path) -> Manifest | None:
-    """The manifest of a dataset; None if the directory has none.
-
-    Raises:
-        CommandError: it has one that cannot be read.
-    """
+    """The manifest of a dataset; None if the directory has none, CommandError if it cannot be read."""
     path = directory / MANIFEST_NAME
     try:
         text = path.read_bytes()
@@ -117,12 +99,12 @@ def read_manifest(directory: Path) -> Manifest | None:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise CommandError(f"{plain(str(path))} is no manifest of a dataset: {plain(str(error))}") from error
     if manifest.format != FORMAT or manifest.version != VERSION:
-        raise CommandError(f"{plain(str(path))} is of another format, or of another version of it")
+        raise CommandError(f"{plain(str(path))} has another format or version")
     return manifest
 
 
 def described(schema: pa.Schema) -> tuple[str, list[Column]]:
-    """The columns of a table, and their key."""
+    """The hash of a table's columns, and the columns."""
     columns = [
         Column(field.name, str(field.type), (field.metadata or {}).get(UNIT_KEY, b"").decode()) for field in schema
     ]
@@ -139,21 +121,11 @@ def sha256_of(path: Path, size: int) -> str:
     return digest.hexdigest()
 
 
-FILE_BYTES: Final = 16_000_000
-"""Bytes of columns at which a topic's rows become a file."""
-
-HELD_BYTES: Final = 40_000_000
-"""Bytes of all columns held at which those of the largest topic become a file."""
-
-WAITING_MAX: Final = 1
-"""Files that wait to be written."""
-
-NAME_MAX: Final = 200
-"""A directory's name may have 255 bytes on most file systems. One that is longer is cut, and ends in a hash."""
-
-NOBODY: Final = "__HIVE_DEFAULT_PARTITION__"
-"""Hive's name for no value."""
-
+FILE_BYTES: Final = 16_000_000  # bytes of columns at which a topic's rows become a file
+HELD_BYTES: Final = 40_000_000  # bytes of all columns at which the largest topic's rows become a file
+WAITING_MAX: Final = 1  # files that wait to be written
+NAME_MAX: Final = 200  # longer directory names are cut, and end in a hash: most file systems allow 255 bytes
+NO_VALUE: Final = "__HIVE_DEFAULT_PARTITION__"  # Hive's name
 COMPRESSION: Final = "zstd"
 COMPRESSION_LEVEL: Final = 1
 
@@ -167,14 +139,14 @@ class Parts:
         self._held: dict[Columns, list[pa.RecordBatch]] = {}
         self._bytes: dict[Columns, int] = {}
         self._count = 0
-        # Writing is half of the work, and none of it Python's: it goes on while the next batch is read.
+        # Writing is half of the work, without the GIL: it runs beside the reading of the next batch.
         self._worker = ThreadPoolExecutor(1, "parquet")
         self._jobs: deque[Future[None]] = deque()
         self.closed: list[Part] = []
         self.schemas: dict[str, list[Column]] = {}
 
     def add(self, columns: Columns, rows: pa.RecordBatch) -> None:
-        """Rows of a topic."""
+        """Add rows of a topic."""
         self._held.setdefault(columns, []).append(rows)
         self._bytes[columns] = self._bytes.get(columns, 0) + rows.nbytes
         if self._bytes[columns] >= FILE_BYTES:
@@ -183,14 +155,14 @@ class Parts:
             self._flush(max(self._bytes, key=lambda one: self._bytes[one]))
 
     def close(self) -> None:
-        """Write what is held."""
+        """Write the remaining rows."""
         for columns in list(self._held):
             self._flush(columns)
         self._wait(0)
         self.closed.sort(key=lambda part: part.path)
 
     def abandon(self) -> None:
-        """Let go of what is not written."""
+        """Drop unwritten rows."""
         self._worker.shutdown(cancel_futures=True)
 
     def _flush(self, columns: Columns) -> None:
@@ -245,12 +217,12 @@ def _by_date(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
 
 
 def _escaped(text: str) -> str:
-    """A text as a part of a directory's name: as in a URL, so that it comes back when it is read."""
+    """A text as a part of a directory's name, with escapes as in a URL, so that readers can restore it."""
     name = quote(text, safe="@ ", errors="replace")
     if len(name) > NAME_MAX:
         digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
         name = f"{name[:NAME_MAX].rpartition('%')[0] or name[:NAME_MAX]}~{digest}"
-    return name or NOBODY
+    return name or NO_VALUE
 
 
 def _is_text(kind: pa.DataType) -> bool:
@@ -258,18 +230,12 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _is_whole_number(kind: pa.DataType) -> bool:
-    """Times and counts: mostly a little more than the one before."""
+    """Times and counts, which mostly rise in small steps."""
     return bool(pa.types.is_integer(kind) or pa.types.is_timestamp(kind))
 
 
 class ExportRange(msgspec.Struct, frozen=True):
-    """The part of the logs to export, which another process can be told.
-
-    Attributes:
-        topics: patterns of topics; none is all. See ``rows.wants_of``.
-        from_ns: the first log time...
-        to_ns: ...and the first one that is too late.
-    """
+    """The part of the logs to export: topics by ``rows.wants_of``, and log times before ``to_ns``."""
 
     topics: list[str] = []
     from_ns: int = 0
@@ -277,7 +243,6 @@ class ExportRange(msgspec.Struct, frozen=True):
 
     @property
     def selection(self) -> Selection:
-        """The same for a reader."""
         return Selection(wants_of(self.topics), self.from_ns, self.to_ns)
 
 
@@ -291,7 +256,6 @@ class ExportTask(msgspec.Struct, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """The length of the log."""
         return self.log.bytes
 
 
@@ -304,7 +268,6 @@ class ExportOutcome(msgspec.Struct, frozen=True):
 
 
 def export_log(task: ExportTask, progress: Progress) -> ExportOutcome:
-    """Write the parts of a log."""
     faults = Faults()
     parts = Parts(task.directory, task.sha256)
     try:
@@ -331,20 +294,20 @@ _types: Final = pa.types
 
 
 def cells(rows: pa.RecordBatch) -> pa.RecordBatch:
-    """The same rows in columns that CSV can say: numbers, flags, texts and times."""
+    """The rows in types of CSV: numbers, flags, texts and times."""
     arrays = [_cells(column) for column in rows.columns]
     return pa.RecordBatch.from_arrays(arrays, names=rows.schema.names)
 
 
 def objects(rows: pa.RecordBatch) -> Iterator[dict[str, Any]]:
-    """The rows as JSON objects, by column."""
+    """The rows as JSON objects."""
     names = rows.schema.names
     for row in zip(*map(values, rows.columns), strict=True):
         yield dict(zip(names, row, strict=True))
 
 
 def values(array: pa.Array) -> list[Any]:
-    """The values as JSON has them."""
+    """The values as types of JSON."""
     kind = array.type
     if _types.is_dictionary(kind):
         return values(array.dictionary_decode())
@@ -381,7 +344,7 @@ def _cells(array: pa.Array) -> pa.Array:
 
 
 def _texts(array: pa.Array) -> list[str | None]:
-    """Times, and whatever else an answer of SQL may hold."""
+    """Times and other types of SQL as texts."""
     try:
         texts = array.cast(pa.string()).to_pylist()
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
@@ -411,7 +374,6 @@ def _entry(pair: tuple[Any, Any]) -> tuple[str, Any]:
 
 
 def csv_text(rows: pa.RecordBatch, *, with_header: bool) -> str:
-    """Rows as lines of CSV."""
     sink = pa.BufferOutputStream()
     csv.write_csv(cells(rows), sink, csv.WriteOptions(include_header=with_header))
     return bytes(sink.getvalue()).decode()
@@ -430,7 +392,6 @@ class Exported(msgspec.Struct, frozen=True):
 
     @property
     def rows(self) -> int:
-        """Rows that were written."""
         return sum(part.rows for part in self.files)
 
 
@@ -443,18 +404,14 @@ def export_dataset(
     run: Runner = HERE,
     progress: Progress = lambda _: None,
 ) -> Exported:
-    """Write logs into a dataset.
-
-    Raises:
-        CommandError: the directory holds something already, or cannot be written.
-    """
+    """Write logs into a dataset; CommandError if the directory is not empty, or cannot be written."""
     shown = plain(str(directory))
     try:
         directory.mkdir(parents=True, exist_ok=True)
         if (directory / MANIFEST_NAME).exists():
-            raise CommandError(f"{shown} is a dataset already: nothing is overwritten, so export to another")
+            raise CommandError(f"{shown} is a dataset already, and not overwritten: export to another directory")
         if any(not path.name.startswith(".") for path in directory.iterdir()):
-            raise CommandError(f"{shown} is not empty, and no dataset: it has no {MANIFEST_NAME}")
+            raise CommandError(f"{shown} is not empty, and no dataset (it has no {MANIFEST_NAME})")
         inputs, files = _export(logs, directory, wanted, run, progress)
     except OSError as error:
         raise CommandError(f"cannot write {shown}: {error.strerror or error}") from error
@@ -469,7 +426,7 @@ def _export(
     logs: Sequence[LogFile], directory: Path, wanted: ExportRange, run: Runner, progress: Progress
 ) -> tuple[list[Input], list[Part]]:
     with staging(directory) as hidden:
-        # A log that is named twice is one.
+        # Use a log that is given twice once.
         by_hash = {sha256_of(log.path, log.bytes): log for log in reversed(logs)}
         tasks = [ExportTask(log, sha256, hidden, wanted) for sha256, log in reversed(by_hash.items())]
         outcomes = list(run(export_log, tasks, progress))
@@ -480,7 +437,7 @@ def _export(
             path.rename(directory / path.name)
         product = f"cruiser-gateway {version('cruiser-gateway')}"
         manifest = Manifest(FORMAT, VERSION, product, inputs, files, schemas)
-        # Last, and in one step.
+        # Last, and atomically.
         beside = hidden / MANIFEST_NAME
         beside.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
         beside.replace(directory / MANIFEST_NAME)
@@ -502,11 +459,7 @@ def export_csv(
     faults: Faults,
     progress: Progress = lambda _: None,
 ) -> list[CsvFile]:
-    """Write logs as CSV, one file for each topic and its columns.
-
-    Raises:
-        CommandError: one of the files is there already, or the disk does not take it.
-    """
+    """Write logs as CSV, one file for each topic and its columns; CommandError if a file cannot be written."""
     files: dict[tuple[str, str], CsvFile] = {}
     try:
         directory.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The findings of ``check``, gathered by kind, so that the answer does not grow with the damage."""
+"""The findings of ``check``, merged by kind, so that the output does not grow with the damage."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import Final
 
 import msgspec
 
-FINDINGS_MAX: Final = 500
-"""Different findings of a file that are listed; further ones are only counted."""
+FINDINGS_MAX: Final = 500  # different findings of a file that are listed; further ones are only counted
 
 
 class About(Enum):
@@ -16,20 +15,18 @@ class About(Enum):
 
     FILE = "file"
     DATA = "data"
-    ALLOWED = "allowed"
-    """MCAP allows it, and it is worth knowing: it is no fault, and changes no exit code."""
+    ALLOWED = "allowed"  # unusual, but no fault by MCAP's specification
 
 
 class Finding(msgspec.Struct):
-    """Something wrong with a log.
+    """A fault of a log.
 
     Attributes:
-        about: the file itself (its structure, its checksums, its schemas), what it lacks of what was said, or
-            what is allowed and worth knowing.
-        count: number of times; of samples and frames, their number.
-        topic: the channel that it is about; empty if it is about none.
-        offset: its first place in the file, in bytes; None if it has no such place.
-        time_ns: when it is for the first time, by log time or, of frames, by their own; None if it has no time.
+        about: the file itself (structure, checksums, schemas), missing data, or something allowed.
+        count: number of times, or of samples or frames.
+        topic: its channel; empty if there is none.
+        offset: its first place in the file, in bytes; None if it has no place.
+        time_ns: its first log time, or the frame's time; None if it has no time.
     """
 
     path: str
@@ -42,12 +39,7 @@ class Finding(msgspec.Struct):
 
 
 class Findings:
-    """Gathers the findings of one file.
-
-    Attributes:
-        told: those that are listed.
-        untold: number of further ones, beyond FINDINGS_MAX.
-    """
+    """Collects the findings of one file; ``untold`` counts those beyond FINDINGS_MAX."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -56,7 +48,7 @@ class Findings:
 
     @property
     def told(self) -> list[Finding]:
-        """The findings about the file first, by their places; then those about the data, then what is allowed."""
+        """The findings about the file by place, then those about the data, then what is allowed."""
         order = list(About)
         return sorted(
             self._by_kind.values(),
@@ -64,19 +56,19 @@ class Findings:
         )
 
     def file(self, what: str, offset: int | None = None, *, topic: str = "", count: int = 1) -> None:
-        """Something wrong with the file itself."""
+        """Add a fault of the file itself."""
         self._add(About.FILE, what, topic, count, offset, None)
 
     def data(self, what: str, topic: str, count: int, time_ns: int | None = None) -> None:
-        """Something that the file lacks."""
+        """Add missing data."""
         self._add(About.DATA, what, topic, count, None, time_ns)
 
     def allowed(self, what: str, offset: int | None = None, *, topic: str = "", count: int = 1) -> None:
-        """Something that is worth knowing, and no fault."""
+        """Add something unusual that is no fault."""
         self._add(About.ALLOWED, what, topic, count, offset, None)
 
     def has(self, about: About) -> bool:
-        """Return True if there is any of this kind; those that are not listed are about the file."""
+        """True if there is any of this kind; unlisted findings are about the file."""
         return any(one.about is about for one in self._by_kind.values()) or (
             about is About.FILE and self.untold > 0
         )

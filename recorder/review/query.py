@@ -1,7 +1,7 @@
-"""SQL over logs, over a dataset made of them, or over catalogs, with DuckDB: a table for each subject.
+"""SQL over logs, over a dataset, or over catalogs, with DuckDB: a table for each subject.
 
-The tables of logs that a statement names are first written as a dataset, in a directory that goes with the answer.
-DuckDB holds MEMORY_LIMIT, and uses that directory beyond. Nothing is loaded from a network.
+The tables of logs in a statement are first written as a dataset into a temporary directory, which DuckDB also uses
+beyond MEMORY_LIMIT. Nothing is loaded from a network.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ WHOSE: Final = (pa.field(ROBOT, pa.string()), pa.field(TOPIC, pa.string()))
 
 
 class TableInfo(msgspec.Struct, frozen=True):
-    """A table."""
+    """A table of SQL."""
 
     name: str
     topics: list[str]
@@ -83,15 +83,14 @@ def free_name(name: str, taken: Collection[str]) -> str:
 
 
 def shown(columns: Sequence[Column]) -> list[Column]:
-    """Columns as people see them: an enumeration is a text all the same."""
+    """Columns for people: an enumeration is a text."""
     return [
         msgspec.structs.replace(one, type="string") if one.type.startswith("dictionary<") else one
         for one in columns
     ]
 
 
-CATALOG: Final = "catalog"
-"""The table's name."""
+CATALOG: Final = "catalog"  # the table's name
 
 
 class CatalogSource:
@@ -104,7 +103,6 @@ class CatalogSource:
         self._rows = rows
 
     def declare(self, connection: duckdb.DuckDBPyConnection, _names: Collection[str], _scratch: Path) -> None:
-        """Make the table known."""
         connection.register(CATALOG, self._rows)
 
 
@@ -117,7 +115,7 @@ class DatasetSource:
         self._parts: dict[str, list[Part]] = {}
         own = {(name, described(columns.schema)[0]) for name, columns in own_columns().items()}
         names: dict[tuple[str, str], str] = {}
-        # Our own subjects have their names before others.
+        # Our own subjects take their names first.
         for part in sorted(manifest.files, key=lambda part: (part.table, part.columns) not in own):
             key = part.table, part.columns
             if key not in names:
@@ -127,19 +125,18 @@ class DatasetSource:
             self._parts.setdefault(names[key], []).append(part)
 
     def _is_like(self, part: Part) -> bool:
-        """Report whether a table is of a subject of ours, as another version had it: it has fields in common."""
+        """True if a table is another version's of a subject of ours: they have fields in common."""
         own = own_columns().get(part.table)
         names = {column.name for column in self._manifest.schemas.get(part.columns, [])}
         return own is not None and bool(names & set(own.schema.names[len(HEAD) :]))
 
     @property
     def directories(self) -> list[str]:
-        """Return the directory of its files, as DuckDB sees it before and after it looks for patterns."""
+        """The directory of its files, plain and with DuckDB's patterns escaped."""
         return [str(self._directory), _unglobbed(str(self._directory))]
 
     @property
     def tables(self) -> list[TableInfo]:
-        """Return the tables of the dataset."""
         return [
             TableInfo(
                 name,
@@ -150,16 +147,16 @@ class DatasetSource:
         ]
 
     def declare(self, connection: duckdb.DuckDBPyConnection, names: Collection[str], _scratch: Path) -> None:
-        """Make the named tables known, or all if none is named; and those of our own subjects that are empty."""
+        """Declare the named tables, or all if none is named, and empty ones of our own subjects."""
         for name, columns in own_columns().items():
             if name not in self._parts:
                 connection.register(name, pa.schema([*WHOSE, *columns.schema]).empty_table())
         for name, parts in self._parts.items():
-            # Looking into files costs time; but where a name is unknown, DuckDB knows one that is like it.
+            # Opening files costs time; but for an unknown name, DuckDB suggests a similar one.
             if names and name not in names and all(one in self._parts or one in own_columns() for one in names):
                 continue
             files = ", ".join(_quoted(_unglobbed(str(self._directory / part.path))) for part in parts)
-            # The names are made of letters, digits and lines; the files are quoted.
+            # The names consist of letters, digits and underscores; the files are quoted.
             connection.execute(
                 f'CREATE VIEW "{name}" AS SELECT {ROBOT}, {TOPIC}, * EXCLUDE ({TOPIC}, {ROBOT}, date) '  # noqa: S608
                 f"FROM read_parquet([{files}], hive_partitioning = true, hive_types_autocast = false)"
@@ -171,12 +168,12 @@ def _quoted(text: str) -> str:
 
 
 def _unglobbed(path: str) -> str:
-    """A path in which DuckDB sees no pattern."""
+    """A path with DuckDB's patterns escaped."""
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in path)
 
 
 class LogSource:
-    """Tables of logs: those that a statement names become a dataset for as long as it is answered."""
+    """Tables of logs: those named in a statement become a temporary dataset."""
 
     directories: Final[list[str]] = []
 
@@ -190,13 +187,13 @@ class LogSource:
 
     @property
     def tables(self) -> list[TableInfo]:
-        """Return the tables whose topics the logs declare."""
+        """The tables of all topics of the logs."""
         found = [columns_of(one) for log in self._logs for one in survey([log], self._faults).topics.values()]
         parts = [Part("", one.table, one.topic.name, one.robot, 0, 0, described(one.schema)[0]) for one in found]
         return DatasetSource(Path(), _manifest(parts, dict(described(one.schema) for one in found))).tables
 
     def declare(self, connection: duckdb.DuckDBPyConnection, names: Collection[str], scratch: Path) -> None:
-        """Write the named tables as files, and make them known; the second table of a name has a number."""
+        """Write and declare the named tables; the second table of a name has a number."""
         named = sorted({re.sub(r"_\d+\Z", "", name) for name in names} | set(names))
         wanted = ExportRange(named, self._selection.from_ns, self._selection.to_ns)
         outcomes = [
@@ -218,11 +215,8 @@ T = TypeVar("T")
 
 MEMORY_LIMIT: Final = "160MB"
 
-BATCH_ROWS: Final = 8192
-"""Rows of an answer that are handed on at once."""
-
-MESSAGE_MAX: Final = 500
-"""Length at which a text for people is cut."""
+BATCH_ROWS: Final = 8192  # of an answer
+MESSAGE_MAX: Final = 500  # length of an error's text
 
 _BESIDES: Final = ("LINE ", "Candidate functions:", "Please try installing")
 
@@ -233,8 +227,7 @@ _WRONG_SQL: Final = (
     duckdb.DataError,
 )
 
-LOOK_S: Final = 0.1
-"""Interval at which a stop is looked for while DuckDB is at work."""
+LOOK_S: Final = 0.1  # period of checks for a stop
 
 Source = LogSource | DatasetSource | CatalogSource
 
@@ -247,18 +240,18 @@ def answer(
     *,
     parameters: Mapping[str, Any] | None = None,
 ) -> Generator[pa.RecordBatchReader | None, None, None]:
-    """The rows that a statement gives, as they come; None if it gives none.
+    """The rows of a statement's answer as a stream; None if it has none.
 
-    DuckDB heeds no signal by itself, so it works in a thread of its own; ``stopped`` ends that.
+    DuckDB handles no signals, so it works on another thread, which ``stopped`` interrupts.
 
     Raises:
-        CommandError: DuckDB does not understand it, or cannot do it; also while the rows are read, see ``told``.
+        CommandError: the statement is wrong, or fails; also while the rows are read, see ``one_line_errors``.
         KeyboardInterrupt: it was stopped; also while the rows are read.
     """
     with TemporaryDirectory(prefix="cruiser-query-") as scratch, ThreadPoolExecutor(1) as thread:
         connection = duckdb.connect(":memory:", config=_configuration(scratch))
 
-        def run(act: Callable[..., T], *words: Any) -> T:  # noqa: ANN401 - whatever it takes
+        def run(act: Callable[..., T], *words: Any) -> T:  # noqa: ANN401 - its arguments
             future = thread.submit(act, *words)
             while not wait([future], LOOK_S).done:
                 if stopped():
@@ -268,7 +261,7 @@ def answer(
             return future.result()
 
         try:
-            with told():
+            with one_line_errors():
                 connection.execute("SET TimeZone = 'UTC'")
                 _check(connection, sql)
                 source.declare(connection, _names_in(connection, sql), Path(scratch))
@@ -282,7 +275,7 @@ def answer(
 
 
 def _renamed(rows: pa.RecordBatchReader, run: Callable[..., Any]) -> pa.RecordBatchReader:
-    """The same rows, with a number behind the names that columns share: an object has each name once."""
+    """The rows with unique names of columns: duplicates get a number."""
     names: list[str] = []
     for name in rows.schema.names:
         others = (f"{name}_{number}" for number in count(1))
@@ -299,7 +292,7 @@ def _batches(rows: pa.RecordBatchReader, names: list[str], run: Callable[..., An
 
 
 @contextmanager
-def told() -> Generator[None, None, None]:
+def one_line_errors() -> Generator[None, None, None]:
     """Turn an error of DuckDB into one line."""
     try:
         yield
@@ -309,7 +302,7 @@ def told() -> Generator[None, None, None]:
     except BrokenPipeError:
         raise
     except (pa.ArrowException, OSError) as error:
-        # What goes wrong while the rows of an answer are read comes through Arrow.
+        # Errors while the rows are read come through Arrow.
         raise CommandError(_one_line(str(error))) from None
 
 
@@ -325,25 +318,25 @@ def _configuration(scratch: str) -> dict[str, str | bool | int | float | list[st
 
 
 def _check(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
-    """Refuse what is no SQL, or no question: DuckDB lets a statement write wherever it lets it read."""
+    """Refuse anything but SELECT: DuckDB lets a statement write wherever it may read."""
     if any(one.type is not duckdb.StatementType.SELECT for one in connection.extract_statements(sql)):
         raise CommandError("the statement is not a SELECT", ExitCode.USAGE)
 
 
 def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> None:
-    """Let the statement see no file but in these directories: it may come from anybody, as a log may."""
+    """Restrict the statement to these directories: statements and logs are untrusted."""
     connection.execute("SET allowed_directories = $1", [directories])
     connection.execute("SET enable_external_access = false")
 
 
 def asks_catalog(sql: str) -> bool:
-    """Report whether a statement reads the catalogs of directories, and not their logs."""
+    """True if a statement reads the catalogs of directories, not their logs."""
     with duckdb.connect(":memory:", config={"enable_external_access": "false"}) as connection:
         return CATALOG in _names_in(connection, sql)
 
 
 def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
-    """The tables that a statement names; any, as a pattern, where DuckDB does not know before it has them."""
+    """The tables named in a statement; ``*`` if DuckDB cannot tell."""
     try:
         return {name.lower() for name in connection.get_table_names(sql)}
     except duckdb.Error:
@@ -351,7 +344,7 @@ def _names_in(connection: duckdb.DuckDBPyConnection, sql: str) -> set[str]:
 
 
 def _one_line(text: str) -> str:
-    """DuckDB's message without its drawing of the statement, and without its advice to go to the network."""
+    """DuckDB's message without the excerpt of the statement, and without its advice to install extensions."""
     lines = []
     for line in map(str.strip, text.splitlines()):
         if line.startswith(_BESIDES):

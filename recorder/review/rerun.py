@@ -1,17 +1,11 @@
-"""Recorded runs through today's arbiter: one log after its journal, and what differs.
+"""Rerun: recorded inputs through this version's arbiter, and the comparison of its output with the log.
 
-The recorded frames and requests through today's arbiter: are the decisions the same?
+``Tape`` plays a robot's runs: journal messages hold the inputs of the gateway's core, in order. A run with missing
+messages is split into parts without a gap. Messages that a recorder queried later come behind newer ones, so early
+ones are held until their turn, up to a bound.
 
-A robot's runs, out of its logs: the journal in its order, and beside it what the gateway said.
-
-A journal message holds what the gateway's core was given, in order. Where none is missing a run is whole; else it
-falls into parts, each without a gap. What a recorder asked for later stands behind newer messages, so what is
-ahead of its time is held until its turn, up to a bound.
-
-The comparison of what was recorded with what the same inputs give again, byte for byte.
-
-Either side may be ahead of the other. What both have is compared and forgotten, so memory holds no more than their
-distance.
+``Comparison`` compares recorded and rerun messages byte for byte. Either side may be ahead; compared messages are
+released, so memory holds only the distance.
 """
 
 from __future__ import annotations
@@ -34,26 +28,16 @@ from schemas.decisions import Journal
 from schemas.journal import COMMAND_RULES
 from schemas.subjects import BY_NAME
 
-JOURNAL: Final = "journal"
-"""The subject."""
-
-HELD_MAX: Final = 600
-"""Journals that wait for those before them, half a minute's: what a recorder asks for comes within seconds."""
-
-HELD_BYTES: Final = 64 * 1024 * 1024
-"""The length of all that wait."""
-
-JOURNAL_BYTES: Final = 1024 * 1024
-"""The longest inputs of a journal: a twentieth of a second has some kilobytes, and a checkpoint some ten more."""
+JOURNAL: Final = "journal"  # the subject
+HELD_MAX: Final = 600  # journals that wait for earlier ones, half a minute: queried ones come within seconds
+HELD_BYTES: Final = 64 * 1024 * 1024  # their total length
+JOURNAL_BYTES: Final = (
+    1024 * 1024
+)  # longest inputs of a journal: 50 ms take a few kilobytes, a checkpoint ten more
 
 
 class PartEnd(msgspec.Struct, frozen=True):
-    """The extent of a part of a run.
-
-    Attributes:
-        first: the place of its first input in the run, from 0.
-        detail: the gap before or behind it; empty if there is none.
-    """
+    """The extent of a part of a run: its first input in the run, from 0, and the gaps around it."""
 
     run: int
     first: int
@@ -62,11 +46,7 @@ class PartEnd(msgspec.Struct, frozen=True):
 
 
 class Tape:
-    """Plays the rows of one robot: its journals part by part, everything else to whoever takes it.
-
-    Attributes:
-        end: the end of the part that was played last.
-    """
+    """Plays the journals of one robot part by part; other rows go to ``take``. ``end`` is the last part's."""
 
     def __init__(self, rows: Iterator[Row], take: Callable[[Row], None], faults: Faults) -> None:
         self._rows = rows
@@ -74,10 +54,8 @@ class Tape:
         self._faults = faults
         self._run: int | None = None
         self._held: dict[int, Journal] = {}
-        self._reached = 0
-        """The place behind all that was played of the run."""
-        self._next: Journal | None = None
-        """The first of the run that follows."""
+        self._reached = 0  # the place behind the run's played inputs
+        self._next: Journal | None = None  # the first of the next run
         self._past: set[int] = set()
         self.end = PartEnd(0, 0, 0, "")
 
@@ -98,15 +76,15 @@ class Tape:
 
     @property
     def next_time_ns(self) -> int:
-        """The publish time of the first journal of the part that has come; 0 if none has."""
+        """The publish time of the first journal of the part; 0 if there is none."""
         return self._held[min(self._held)].time_ns if self._held else 0
 
     def journals(self) -> Iterator[Journal]:
-        """Yield the journals of the part that has come, in order; at the end ``end`` describes the part."""
+        """The journals of the part, in order; then ``end`` describes the part."""
         run = self._run
         if run is None:
             return
-        # A part behind a gap has waited for what is missing; a run's beginning may still come.
+        # A part behind a gap has waited for the missing inputs; a run's beginning may still come.
         while not self._reached and 0 not in self._held and self._waits():
             pass
         first = expected = 0 if 0 in self._held else min(self._held)
@@ -122,12 +100,12 @@ class Tape:
         self.end = PartEnd(run, first, expected - first, "; ".join(missing))
 
     def break_off(self, detail: str) -> None:
-        """End the part: the journal played last cannot be used. Another part begins behind it."""
+        """End the part at an unusable journal. Another part begins behind it."""
         inputs = max(self._reached - self.end.first, 0)
         self.end = msgspec.structs.replace(self.end, inputs=inputs, detail=detail)
 
     def _waits(self) -> bool:
-        """Read one more journal of the run; False if it has no more, or too many wait already."""
+        """Read another journal of the run; False if there is none, or too many wait."""
         if self._next is not None or self._is_full:
             return False
         journal = self._read()
@@ -145,7 +123,7 @@ class Tape:
         return len(self._held) >= HELD_MAX or sum(len(one.inputs) for one in self._held.values()) > HELD_BYTES
 
     def _read(self) -> Journal | None:
-        """The next journal of a run that is not over."""
+        """The next journal of an unfinished run."""
         for row in self._rows:
             if row.topic.subject != JOURNAL or row.topic.decode is None:
                 self._take(row)
@@ -156,43 +134,35 @@ class Tape:
                 self._faults.add(f"{row.topic.name}: a journal that cannot be read: {error}")
                 continue
             if isinstance(journal, Journal) and len(journal.inputs) > JOURNAL_BYTES:
-                self._faults.add(
-                    f"{row.topic.name}: a journal of {len(journal.inputs)} bytes, which no gateway says"
-                )
+                self._faults.add(f"{row.topic.name}: a journal of {len(journal.inputs)} bytes is too long")
                 continue
-            # Nothing to run is in an empty one, and it would be held for ever.
+            # An empty one would be held for ever.
             if isinstance(journal, Journal) and journal.count and journal.run not in self._past:
                 return journal
         return None
 
 
-DIFFERENCES_TOLD: Final = 1000
-"""Differences that are listed one by one; the rest are only counted."""
-
-WAITING_MAX: Final = 200_000
-"""Records and samples that wait for their counterpart; beyond it the oldest are given up, and counted."""
-
-COPIES_MAX: Final = 100_000
-"""Compared messages of a subject that are remembered: two recorders write each of them."""
-
-BATCH_NS: Final = 100_000_000
-"""Longest delay of what a gateway says in batches: the end of a run may be missing from them."""
+DIFFERENCES_TOLD: Final = 1000  # differences that are listed; the rest are only counted
+WAITING_MAX: Final = (
+    200_000  # messages that wait for their counterpart; the oldest beyond it are given up and counted
+)
+COPIES_MAX: Final = 100_000  # compared messages of a subject that are remembered, to recognise copies
+BATCH_NS: Final = 100_000_000  # longest delay of batched messages: the end of a run may be missing from them
 
 Key = tuple[str, int, int | bytes]
-"""The subject, the publish time in nanoseconds since 1970, and what else distinguishes messages of that time."""
-
+"""Subject, publish time since 1970, and a distinction of messages of that time."""
 
 WORDS: Final = frozenset({"detail", "stop_detail", "text"})
-"""Fields of decisions, states and events that hold words for people: beside each stands the reason."""
+"""Fields of decisions, states and events with texts for people; the reason is in another field."""
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """A message that is not the same.
+    """A message that differs.
 
     Attributes:
         what: ``changed`` or ``only recorded``.
-        fields: of a changed one each field that differs: what was recorded, and what comes out again.
-        message: of one that was only recorded the whole of it.
+        fields: the fields of a changed one that differ: recorded and rerun values.
+        message: the whole message if it was only recorded.
     """
 
     subject: str
@@ -206,12 +176,10 @@ class Comparison:
     """Compares the two sides.
 
     Attributes:
-        unrecorded: messages that come out again and are not in the log, by subject: it lost them, or was not to
-            hold them.
-        reworded: messages that differ only in their words for people: another version may phrase them differently.
+        unrecorded: rerun messages that are not in the log, by subject.
+        reworded: messages that differ only in texts for people, as of another version.
         given_up: messages that waited too long for their counterpart, or came too long after it.
-        begins_ns, ends_ns: the times of the first message with a sequence and of the newest of all that came out
-            again, since 1970; ``begins_ns`` is None before.
+        begins_ns, ends_ns: times of the first rerun message with a sequence, and of the newest one, since 1970.
     """
 
     def __init__(self, decode: Callable[[str, bytes], Any]) -> None:
@@ -226,13 +194,13 @@ class Comparison:
         self.ends_ns = 0
         self._recorded: OrderedDict[Key, bytes] = OrderedDict()
         self._others: OrderedDict[tuple[Key, bytes], None] = OrderedDict()
-        """Further records under the same key: somebody put them in."""
+        """Further records under the same key, which were inserted."""
         self._again: OrderedDict[Key, bytes] = OrderedDict()
         self._compared: dict[str, OrderedDict[Key, int]] = {}
         self._forgotten: dict[str, Key] = {}
 
     def record(self, key: Key, data: bytes) -> None:
-        """A message of the log."""
+        """Take a recorded message."""
         again = self._again.pop(key, None)
         if again is not None:
             self._compare(key, data, again)
@@ -244,14 +212,14 @@ class Comparison:
             self._wait(self._others, (key, data), None)
 
     def say_again(self, key: Key, data: bytes) -> None:
-        """A message that comes out of the inputs."""
+        """Take a rerun message."""
         if self.begins_ns is None and key[0] not in FRAMES:
-            # Not with a frame that was received: behind a place of rest the next state comes at another time.
+            # Not with a received frame: after a start at rest the next state comes at another time.
             self.begins_ns = key[1]
         self.ends_ns = max(self.ends_ns, key[1])
         recorded = self._recorded.get(key)
         if (key, data) in self._others:
-            # What was recorded before it under the same key does not come again.
+            # An earlier record under the same key has no counterpart.
             del self._others[key, data]
             self._compare(key, data, data)
         elif recorded is not None:
@@ -261,11 +229,11 @@ class Comparison:
             self._wait(self._again, key, data)
 
     def end(self) -> list[tuple[Key, bytes]]:
-        """Nothing more comes out. Returns what was recorded later than that: it belongs to what follows.
+        """End the rerun. Returns the later records, which belong to the next part.
 
-        What was recorded before the first message that came out again belongs to nothing.
+        Records before the first rerun message are ignored.
         """
-        # What was said last is in a batch that may not have been published any more.
+        # The last batch may never have been published.
         last_ns = self.ends_ns - BATCH_NS
         self.unrecorded.update(subject for subject, time_ns, _ in self._again if time_ns <= last_ns)
         self._again.clear()
@@ -281,7 +249,7 @@ class Comparison:
         return later
 
     def _is_copy(self, key: Key, data: bytes) -> bool:
-        """Report whether it is a second copy of what was compared already, or comes too late to tell."""
+        """True of a copy of a compared message, or if it is too late to tell."""
         compared = self._compared.setdefault(key[0], OrderedDict()).get(key)
         if compared is not None:
             return compared == hash(data)
@@ -318,47 +286,40 @@ class Comparison:
         waiting[key] = data
         if len(waiting) > WAITING_MAX:
             waiting.popitem(last=False)
-            # Before anything came out again nothing was to be compared.
+            # Before the first rerun message nothing is compared.
             self.given_up += self.begins_ns is not None
 
 
 SENT: Final = "can/{bus}/tx"
 DECIDED: Final = ("safety/decision", "safety/event", "safety/state", SENT)
-"""The subjects that tell what the arbiter decided."""
+"""The subjects of the arbiter's decisions."""
 
 RECEIVED: Final = "can/{bus}/rx"
 FRAMES: Final = (SENT, RECEIVED)
 COMPARED: Final = (*DECIDED, RECEIVED)
-"""The subjects that must come out the same. No rule changes received frames: they show whether the log is true."""
+"""The subjects that must be equal. No rule changes received frames: they show whether the log is authentic."""
 
 NO_CONFIGURATION: Final = "the log does not hold the robot's configuration"
-NO_PLACE: Final = (
-    "it holds no checkpoint of this version, and the gateway was never at rest in it: there is no place to begin"
+NO_PLACE: Final = "there is no place to begin: no checkpoint of this version, and the gateway was never at rest"
+OTHER_RULES: Final = (
+    "made under other rules, so it can be rerun from its first input only"  # and the log begins later
 )
-OTHER_RULES: Final = "made under other rules, it can be run again from its first input alone"
-"""A reason for running nothing again: the log begins in the run, and its rules were others."""
-
-
-BROKEN_OFF: Final = "the inputs that follow cannot be run again"
-
-DETAIL_MAX: Final = 300
-"""Characters of an error that are shown."""
+BROKEN_OFF: Final = "the following inputs cannot be rerun"
+DETAIL_MAX: Final = 300  # characters of an error
 
 
 class RerunResult(msgspec.Struct, frozen=True):
-    """A run, run again.
+    """The rerun of a part of a run.
 
     Attributes:
-        first: the place of the first input that was there, from 0: behind a gap a run continues in another result.
-        inputs: so many there were without a gap.
-        detail: the missing part of the run, or why nothing was run again; empty if all was.
-        start_ns, end_ns: of what came out again, nanoseconds since 1970; 0 if nothing did.
+        first: the place of its first input, from 0: behind a gap a run continues in another result.
+        inputs: number of inputs without a gap.
+        detail: missing parts, or the reason why nothing was rerun; empty if all was.
+        start_ns, end_ns: of the rerun messages, nanoseconds since 1970; 0 without any.
         same: number of messages that are equal byte for byte, by subject.
-        unrecorded: messages that come out again and are not in the log.
         difference_count: messages that differ; ``differences`` are the first ones.
-        given_up: messages that waited too long for their counterpart to be compared.
-        reworded: messages that differ only in their words for people.
-        rules: the command rules under which the run was made, as in ``schemas.journal``.
+        unrecorded, given_up, reworded: as in ``Comparison``.
+        rules: the command rules of the run, as in ``schemas.journal``.
     """
 
     robot: str
@@ -383,7 +344,7 @@ class RerunResult(msgspec.Struct, frozen=True):
 
 
 def rerun_parts(player: RerunPlayer) -> Iterator[RerunResult]:
-    """Every run that a player plays, run again with the settings that it had."""
+    """Rerun every run of a player with its own settings."""
     while player.next_part():
         yield _rerun(player)
 
@@ -405,11 +366,7 @@ def _rerun(player: RerunPlayer) -> RerunResult:
 
 
 class RerunPlayer:
-    """The runs of one robot, one after the other.
-
-    Attributes:
-        comparison: of the run that has come.
-    """
+    """The successive runs of one robot; ``comparison`` is the current run's."""
 
     def __init__(
         self,
@@ -433,28 +390,28 @@ class RerunPlayer:
         return self._tape.next_part()
 
     def journals(self) -> Iterator[Journal]:
-        """The journals of the part, in their order."""
+        """The journals of the part, in order."""
         for journal in self._tape.journals():
             self._rules = journal.rules
             yield journal
 
     def configuration(self) -> str | None:
-        """The TOML text that was in force in the run that has come; None if the log does not hold it."""
+        """The TOML text in force in the current run; None if the log does not hold it."""
         return self._configurations.at(self._tape.next_time_ns)
 
     def break_off(self, error: Exception) -> None:
-        """The journal cannot be used from here on: this part ends."""
+        """End the part at an unusable journal."""
         self._tape.break_off(f"{BROKEN_OFF}: {error!r}"[:DETAIL_MAX])
         self._faults.add(f"{self._robot}: run {self._tape.end.run}: {self._tape.end.detail}")
 
     def skip(self, detail: str) -> RerunResult:
-        """The run is not run again."""
+        """Skip the run."""
         for _ in self.journals():
             pass
         return msgspec.structs.replace(self._result(0), inputs=0, detail=detail)
 
     def result(self, start_ns: int) -> RerunResult:
-        """Sum up the run; what was recorded behind its end is kept for the next one."""
+        """Sum up the run; later records are left for the next one."""
         result = self._result(start_ns)
         if start_ns:
             return result
@@ -493,10 +450,10 @@ class RerunPlayer:
 
 
 def key_of(subject: str, sequence: int, time_ns: int, data: bytes) -> Key:
-    """Return the key that distinguishes a record of its subject, on either side.
+    """The key that distinguishes a record of its subject, on either side.
 
-    Each run counts its sequences from 0, so the time is a part of it. Batches of frames may be cut elsewhere when
-    they come again, so of these the identifier counts: each goes out once in a tick at most.
+    Each run counts its sequences from 0, so the key has the time. Batches of frames may be split differently, so
+    frames have their identifier instead of a sequence: each is sent at most once in a tick.
     """
     return subject, time_ns, identifier_in(data) if subject in FRAMES else sequence
 
@@ -509,22 +466,15 @@ def identifier_in(data: bytes) -> bytes:
     return identifier.to_bytes(4, "little")
 
 
-_TIME_TAG: Final = b"\x09"
-"""A record of a frame begins with the field 1, of 8 bytes."""
-
-_IDENTIFIER_TAG: Final = b"\x1d"
-"""The field 3, of 4 bytes, follows: fixed widths come first, see ``recorder.encoding.protobuf``."""
+_TIME_TAG: Final = b"\x09"  # a frame's record begins with field 1, of 8 bytes
+_IDENTIFIER_TAG: Final = b"\x1d"  # then field 3, of 4 bytes: fixed widths come first in recorder.encoding.protobuf
 
 
 def message_of(sample: Sample) -> Any:  # noqa: ANN401 - of any subject
-    """The message of a sample.
-
-    Raises:
-        ValueError: it is none: inputs that somebody made up may make a core say anything.
-    """
+    """The message of a sample; ValueError if it cannot be decoded: forged inputs may produce anything."""
     message = codec.decode(BY_NAME[sample.subject], sample.payload)
     if isinstance(message, codec.PayloadFault):
-        raise ValueError(f"{sample.subject} that comes out is no message: {message.detail}")  # noqa: TRY004
+        raise ValueError(f"the rerun {sample.subject} is no message: {message.detail}")  # noqa: TRY004
     return message
 
 

@@ -1,7 +1,7 @@
-"""Tasks, one a log, done in this process, in several of this machine, or by a Ray cluster.
+"""Tasks, one a log, run in this process, in several of this machine, or by a Ray cluster.
 
-What a task does is a function of a module, and what it is given and returns can be pickled. On a cluster every
-machine needs this package, and the files that tasks name under the same paths.
+A task's function is a module's, and its arguments and result can be pickled. On a cluster every machine needs this
+package, and the logs under the same paths.
 """
 
 from __future__ import annotations
@@ -21,48 +21,39 @@ import msgspec
 from recorder.reading.rows import Progress
 from schemas.command_line import SAFE_PATH_VARIABLE, CommandError, ExitCode, missing_extra
 
-LOOK_S: Final = 0.1
-"""Interval at which whoever waits for a task looks for a stop."""
-
-TRIES_AGAIN: Final = 3
-"""A cluster begins a task anew so often: where its process or machine dies, or a file cannot be read."""
-
+LOOK_S: Final = 0.1  # period of checks for a stop
+TRIES_AGAIN: Final = 3  # of a cluster when a task's process or machine dies, or a file cannot be read
 SCHEME: Final = "ray://"
 
 
 class LogTask(Protocol):
-    """A task of a log."""
+    """A task; ``bytes`` is the size of its log."""
 
     @property
-    def bytes(self) -> int:
-        """The length of the log."""
+    def bytes(self) -> int: ...
 
 
 Task = TypeVar("Task", bound=LogTask)
 Outcome = TypeVar("Outcome")
 
 Act = Callable[[Task, Progress], Outcome]
-"""Does a task; the progress receives the numbers of bytes that were read."""
+"""Runs a task; the progress gets the numbers of bytes read."""
 
 
 class TaskRunner(msgspec.Struct, frozen=True):
-    """The place where tasks are done.
+    """Runs tasks.
 
     Attributes:
-        processes: so many tasks at once, each in a process of its own; one is this process. They are begun anew: a
-            script that calls this has to be importable without doing so again.
-        ray: the address of a Ray cluster that does them; empty for none.
+        processes: number of spawned processes; one is this process. A calling script must be importable without
+            side effects.
+        ray: the address of a Ray cluster; empty for none.
     """
 
     processes: int = 1
     ray: str = ""
 
     def __call__(self, act: Act[Task, Outcome], tasks: Sequence[Task], progress: Progress) -> Iterator[Outcome]:
-        """Do all tasks; yields their outcomes in the same order.
-
-        Raises:
-            CommandError: a process was killed, or the cluster is not there.
-        """
+        """Run all tasks, and yield their outcomes in order; CommandError if a process or the cluster is lost."""
         if self.ray:
             with ray_cluster(self.ray) as cluster:
                 yield from _spread(cluster, act, tasks, progress)
@@ -74,14 +65,13 @@ class TaskRunner(msgspec.Struct, frozen=True):
                 yield act(task, progress)
 
 
-HERE: Final = TaskRunner()
-"""This process."""
+HERE: Final = TaskRunner()  # this process
 
 
 def _spread(
     pool: Executor, act: Act[Task, Outcome], tasks: Sequence[Task], progress: Progress
 ) -> Iterator[Outcome]:
-    # All are begun before the first is waited for.
+    # Submit all before waiting for the first.
     futures = [pool.submit(act, task, look) for task in tasks]
     for task, future in zip(tasks, futures, strict=True):
         outcome = outcome_of(future, progress)
@@ -90,26 +80,20 @@ def _spread(
 
 
 def outcome_of(future: Future[Outcome], progress: Progress) -> Outcome:
-    """Wait for the result of a task; the progress is called meanwhile, with no bytes.
-
-    Raises:
-        CommandError: its process was killed.
-    """
+    """Wait for the outcome of a task, and call the progress meanwhile; CommandError if its process was killed."""
     while not wait([future], LOOK_S).done:
         progress(0)
     try:
         return future.result()
     except BrokenProcessPool as error:
-        raise CommandError(
-            "a process was killed in the middle of a log; with --processes 1 there is one alone"
-        ) from error
+        raise CommandError("a process was killed in the middle of a log; try --processes 1") from error
 
 
 @contextmanager
 def processes(count: int) -> Generator[ProcessPoolExecutor, None, None]:
-    """Processes that end on request, and not by a signal that is meant for this one."""
+    """Processes that end on request, and not by a signal for this one."""
     context = get_context("spawn")
-    # They begin with `python -c`, which would take modules from the working directory.
+    # They start with `python -c`, which would import modules from the working directory.
     os.environ[SAFE_PATH_VARIABLE] = "1"
     stop = context.Event()
     pool = ProcessPoolExecutor(count, context, _enter, (stop,))
@@ -120,8 +104,7 @@ def processes(count: int) -> Generator[ProcessPoolExecutor, None, None]:
         pool.shutdown(cancel_futures=True)
 
 
-_stop: Event | None = None
-"""Of a process that runs tasks: it is to end."""
+_stop: Event | None = None  # in a process that runs tasks: it must end
 
 
 def _enter(stop: Event) -> None:
@@ -131,26 +114,20 @@ def _enter(stop: Event) -> None:
 
 
 def look(_count: int) -> None:
-    """End the task if the process is to end; a progress that counts nothing.
-
-    Raises:
-        KeyboardInterrupt: it is.
-    """
+    """A progress that ends the task by KeyboardInterrupt when the process must end."""
     if _stop is not None and _stop.is_set():
         raise KeyboardInterrupt
 
 
 class RayCluster(Executor):
-    """Has tasks done by a cluster that is there. What a task raises is its own exception."""
+    """Runs tasks on a cluster. A task's exception is raised as it is."""
 
     def __init__(self, ray: Any) -> None:  # noqa: ANN401 - a module that is not everywhere
         self._ray = ray
         self._remote = ray.remote(max_retries=TRIES_AGAIN, retry_exceptions=[OSError])
-        self._acts: dict[Callable[..., Any], Any] = {}
-        """As the cluster knows them: each is sent there once."""
+        self._acts: dict[Callable[..., Any], Any] = {}  # functions sent to the cluster
 
     def submit(self, act: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:  # noqa: ANN401 - an Executor's
-        """Have a task done."""
         future = Future[Any]()
         if act not in self._acts:
             self._acts[act] = self._remote(act)
@@ -162,7 +139,7 @@ class RayCluster(Executor):
             elif isinstance(error, self._ray.exceptions.RayTaskError):
                 future.set_exception(error.cause)
             else:
-                future.set_exception(CommandError(f"the cluster has lost a task: {error}"))
+                future.set_exception(CommandError(f"the cluster lost a task: {error}"))
 
         self._acts[act].remote(*words, **named).future().add_done_callback(settle)
         return future
@@ -170,13 +147,9 @@ class RayCluster(Executor):
 
 @contextmanager
 def ray_cluster(address: str) -> Generator[RayCluster, None, None]:
-    """Connect to a Ray cluster; tasks that are not done at the end are given up.
-
-    Raises:
-        CommandError: Ray is not installed, or no cluster is there.
-    """
+    """Connect to a Ray cluster, and cancel unfinished tasks at the end; CommandError if that is not possible."""
     if not address.startswith(SCHEME):
-        # A process that joins the cluster itself gets Ray's messages printed among its answers.
+        # In a process that joins the cluster, Ray prints messages to its output.
         raise CommandError(f"the address of a Ray cluster is {SCHEME}HOST:PORT", ExitCode.USAGE)
     # Ray reports to its makers, unless this is set before.
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"

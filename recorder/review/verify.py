@@ -1,7 +1,7 @@
-"""The proof of a robot's logs: who commanded when, with which grant, and is each file as its recorder signed it?
+"""The verification of a robot's logs: who commanded when, with which grant, and each file's signature.
 
-A verb is proven by the signature of who asked, which stands in the journal beside the request; a file by its
-recorder's, from its receipt on. That nothing is missing in between, nobody signs.
+The operator's signature in the journal proves a verb, the recorder's signature a file since its data was received.
+Nothing proves that no data was lost in between.
 """
 
 from __future__ import annotations
@@ -41,23 +41,20 @@ JOURNAL: Final = "journal"
 DECISION: Final = "safety/decision"
 STATEMENT: Final = "authority/statement"
 
-FINDINGS_MAX: Final = 1000
-"""Findings that wait to be put together; those that are alike are one."""
+FINDINGS_MAX: Final = 1000  # findings beyond which equal ones are merged
 
 
 class RobotProofReport(msgspec.Struct, frozen=True):
     """The result of the verification of a robot's logs.
 
     Attributes:
-        authorities: the active keys of the fleet's authority, hexadecimal: more than one across a rotation;
-            none if the logs name none.
-        is_vouched: the authority was given by who asks; else nobody vouches for it, as where the logs are under
-            another one than was given.
+        authorities: the active keys of the fleet's authority, hexadecimal: several across a rotation.
+        is_vouched: the logs are under a given authority.
         robot_key: the robot's, hexadecimal; empty if the logs do not hold its grant.
-        verbs: signed verbs that the robot accepted the proof of; ``verbs_untold`` more.
+        verbs: signed verbs that the robot accepted; ``verbs_untold`` more.
         refused: requests that it refused for their proof.
-        unproven_stops: stops that nobody signed right before or after. A stop is served in any case.
-        unread: parts of the logs that cannot be read. Whose they are is not known.
+        unproven_stops: stops without a signature; stops are always executed.
+        unread: unreadable parts of the logs, of any robot.
     """
 
     robot: str
@@ -76,22 +73,22 @@ class RobotProofReport(msgspec.Struct, frozen=True):
 
     @property
     def is_broken(self) -> bool:
-        """Something was changed, wrongly signed, or was not granted."""
+        """True if something was changed, wrongly signed, or not granted."""
         return any(one.fault.is_tampering for one in self.findings)
 
     @property
     def is_of_other_authority(self) -> bool:
-        """All of it goes back to an authority that was not given."""
+        """True if the logs are under an authority that was not given."""
         return any(one.fault is ProofFault.OTHER_AUTHORITY for one in self.findings)
 
     @property
     def holds(self) -> bool:
-        """All that could be read holds."""
+        """True if the readable part holds."""
         return not self.findings
 
     @property
     def is_proven(self) -> bool:
-        """All that is there could be read, and holds."""
+        """True if all could be read, and holds."""
         return self.holds and not self.unread
 
 
@@ -101,12 +98,9 @@ def verify_logs(
     trusts: Sequence[Trust] = (),
     progress: Progress = lambda _: None,
 ) -> Iterator[RobotProofReport]:
-    """Verify the logs of each robot.
-
-    Without an authority the one that the logs name is believed; the progress is told again for each robot.
-    """
+    """Verify the logs of each robot; without an authority, by the one named in the logs."""
     robots, verified = set(survey(logs, faults).robots), set[str]()
-    # What the summaries leave out, a verification comes upon.
+    # A verification also finds robots that the summaries omit.
     files = [prove_file(log, faults, progress) for log in logs]
     while left := robots - verified:
         robot = min(left)
@@ -124,7 +118,7 @@ class _Verification:
         trusts: Sequence[Trust],
         robots: set[str],
     ) -> None:
-        """Of this robot; others are added to ``robots`` as they are met."""
+        """Verify this robot; others are added to ``robots`` when found."""
         self._robot, self._logs, self._faults, self._robots = robot, logs, faults, robots
         self._trusts = trusts
         self._statements = [one for one in file_statements(logs, faults) if one.robot == robot]
@@ -133,7 +127,7 @@ class _Verification:
         self._findings: list[ProofFinding] = []
 
     def run(self, progress: Progress) -> RobotProofReport:
-        """Read the logs twice: statements, and then what they prove."""
+        """Read the logs twice: statements, then commands."""
         for _, message in self._rows((STATEMENT,), lambda _: None):
             if isinstance(message, SignedStatement):
                 self._statements.append(ShownStatement(self._robot, message.time_ns, message.text))
@@ -146,7 +140,7 @@ class _Verification:
         for log, file, finding in self._files:
             self._findings += filter(None, [finding or _judge_recorder(authority, log, file)])
         if not authority.robot_keys:
-            what = "the logs do not hold the robot's grant, as in open mode: nothing proves who commanded"
+            what = "the logs do not hold the robot's grant, as in open mode: the operators are unproven"
             self._find(ProofFault.UNPROVEN, what, min((log.start_ns for log, _, _ in self._files), default=None))
         record = self._read_commands(name, authority, progress)
         return RobotProofReport(
@@ -171,7 +165,7 @@ class _Verification:
         for row, message in self._rows((JOURNAL, DECISION), progress):
             parts = keys.parse(row.topic.name)
             record.root = record.root or ("" if parts is None else parts.root)
-            # A log and its incident hold the same; eight bytes of each are enough to see it.
+            # A log and its incident hold the same samples: recognise them by a hash.
             place = hash((row.topic.subject, row.publish_ns, row.sequence, row.data))
             if place in taken:
                 continue
@@ -191,7 +185,7 @@ class _Verification:
             if not isinstance(message, Message):
                 continue
             if row.publish_ns != message.time_ns or row.sequence != message.sequence % SEQUENCE_SPAN:
-                what = f"{row.topic.subject}: samples that the log gives another time, or another place"
+                what = f"{row.topic.subject}: samples whose record has another time or sequence"
                 self._find(ProofFault.CHANGED, what, message.time_ns)
             yield row, message
 
@@ -202,20 +196,19 @@ class _Verification:
 
 
 def _judge_recorder(authority: LogAuthority, log: LogFile, file: SignedFile) -> ProofFinding | None:
-    """Return the finding against who signed a file, by what was in force at its end; None if there is none.
+    """Return the finding against the signer of a file, by the grants in force at its end; None if there is none.
 
-    A grant that is over, or of an authority that is not known, proves nothing, and is no sign of tampering. A key
-    that was revoked may be anybody's.
+    An expired grant, or one of an unknown authority, proves nothing, but is no sign of tampering.
     """
     held = authority.judge(bytes.fromhex(file.grant), log.end_ns)
     if isinstance(held, Objection) and held.reason is not Reason.GRANT_REVOKED:
-        what = f"{file.file} is signed by a recorder for whom nobody vouches: {held.text}"
+        what = f"{file.file} is signed by an unverified recorder: {held.text}"
         return ProofFinding(ProofFault.UNPROVEN, what, log.end_ns)
     if isinstance(held, Objection):
         return authority.finding(f"{file.file} is signed by a recorder that was revoked", held, log.end_ns)
     if isinstance(held, HeldGrant) and held.grant.role is GrantRole.RECORDER:
         return None
-    what = f"{file.file} is signed by a key that no recorder's grant is for"
+    what = f"{file.file} is signed by a key without a recorder's grant"
     return ProofFinding(ProofFault.WRONGLY_SIGNED, what, log.end_ns)
 
 

@@ -1,20 +1,14 @@
 """The parts of ``verify``: authority, commands, files and their signatures.
 
-- Faults in the proofs of a log.
-- The statements that a recorder wrote beside the messages: what the robots had shown before a file began.
-- Log files against the signatures that their recorders put beside them.
+``LogAuthority`` finds the authority of a log's grants, revocations and robot keys, and whether they held at a
+time. The authority changes within a log: revocations arrive, a rotation replaces the keys, grants are renewed.
+Each sample is judged by the statements in force at its time. A statement was in force at the latest when the robot
+first showed it, and not before it was signed; in between the robot may or may not have known it, because a log may
+begin later, and the robot repeats its statements.
 
-Whom a log's grants, revocations and robot keys go back to, and whether they held at a time.
-
-The authority changes in mid-log: lists of revocations come, a rotation replaces the keys, grants are renewed. Each
-sample is judged by what was in force at its time. A statement was in force from the moment when the robot showed
-it first at the latest, and not before it was signed; in between the robot may or may not have known it, for a log
-may begin long after, and the robot repeats what is in force.
-
-Commanders by the requests in the journal: each signed verb's signature and grant, checked once more.
-
-The robot judged each request when it came, and the journal has its verdict beside the request. A drive command is
-proven by a key that only the robot and the holder of the lease have: it is attributed to the lease's holder.
+``CommandRecord`` verifies each signed verb in the journal again; the journal has the robot's own verdict beside
+it. A drive command is proven by a key that only the robot and the lease's holder have: it is attributed to the
+holder.
 """
 
 from __future__ import annotations
@@ -56,32 +50,23 @@ from schemas.subjects import BY_VERB, DRIVE_VERB, STOP_VERB
 
 
 class ProofFault(Enum):
-    """The kind of a fault.
-
-    ``unproven``: the log lacks the evidence. ``other_authority``: all that is signed goes back to an authority
-    that was not given. Neither says that anything was tampered with; all others do.
-    """
+    """The kind of a fault. All but ``unproven`` and ``other_authority`` are tampering."""
 
     MISSING = "missing"
     CHANGED = "changed"
     WRONGLY_SIGNED = "wrongly_signed"
     NOT_GRANTED = "not_granted"
-    UNPROVEN = "unproven"
-    OTHER_AUTHORITY = "other_authority"
+    UNPROVEN = "unproven"  # the log lacks the evidence
+    OTHER_AUTHORITY = "other_authority"  # all signatures are of an authority that was not given
 
     @property
     def is_tampering(self) -> bool:
-        """Return True if it is certain that the log is not what the robot signed, or was not granted."""
+        """True if the log was certainly changed, or a command not granted."""
         return self not in {ProofFault.UNPROVEN, ProofFault.OTHER_AUTHORITY}
 
 
 class ProofFinding(msgspec.Struct, frozen=True):
-    """A finding.
-
-    Attributes:
-        time_ns: the robot's time of the first, nanoseconds since 1970; None if it is of no time.
-        until_ns: the robot's time of the last; None if there is but one time.
-    """
+    """A finding, with the robot's first and last time, since 1970; None if there is none, or only one."""
 
     fault: ProofFault
     what: str
@@ -90,20 +75,13 @@ class ProofFinding(msgspec.Struct, frozen=True):
     until_ns: int | None = None
 
 
-_NOBODY: Final = bytes(32)
-"""The standby key of an authority that is not known: nobody has it."""
-
+_NOBODY: Final = bytes(32)  # in place of an unknown standby key
 _S: Final = 1_000_000_000
-
 _ALWAYS_NS: Final = -(2**63)
 
 
 class ShownStatement(msgspec.Struct, frozen=True):
-    """A statement that a robot took over, or repeated.
-
-    Attributes:
-        time_ns: when it said so, by its clock, nanoseconds since 1970.
-    """
+    """A statement that a robot accepted or repeated, at ``time_ns`` by its clock."""
 
     robot: str
     time_ns: int
@@ -115,10 +93,10 @@ class GrantInfo(msgspec.Struct, frozen=True):
 
     Attributes:
         id: the identifier, hexadecimal.
-        not_before, not_after: the time in which all of its chain holds, seconds since 1970.
-        signers: names of those above it in the chain, the nearest first.
-        root: the key of the authority at which the chain ends, hexadecimal.
-        objection: why it did not hold when it was first used; empty if it did.
+        not_before, not_after: validity of the whole chain, seconds since 1970.
+        signers: names in the chain above it, the nearest first.
+        root: the authority's key at the end of the chain, hexadecimal.
+        objection: why it did not hold at its first use; empty if it did.
     """
 
     id: str
@@ -134,11 +112,11 @@ class GrantInfo(msgspec.Struct, frozen=True):
 
 
 class _InForce(msgspec.Struct, frozen=True):
-    """The authorities that counted from a time on: more than one as long as nothing says which of the given.
+    """The authorities in force from a time on: several while it is open which of the given ones.
 
     Attributes:
-        earliest_ns: the time of the signature of the statement that brought them.
-        shown_ns: the time when the robot showed that statement first.
+        earliest_ns: the time of signing of the statement that introduced them.
+        shown_ns: the time when the robot first showed that statement.
     """
 
     earliest_ns: int
@@ -147,15 +125,14 @@ class _InForce(msgspec.Struct, frozen=True):
 
 
 class LogAuthority:
-    """The authority, the grants and the keys of a robot, as its log shows them.
+    """The authority, the grants and the keys of a robot in its log.
 
     Attributes:
-        is_vouched: the authority's keys were given from outside; else the log is all there is to believe.
-        roots: the authority's active keys, in the order in which they were in force; none if the log names none.
+        is_vouched: the log is under a given authority; else only the log itself names it.
+        roots: the authority's active keys, in the order in which they were in force.
     """
 
     def __init__(self, robot: str, given: Sequence[Trust], statements: Iterable[ShownStatement]) -> None:
-        """Read statements."""
         self.is_vouched = bool(given)
         self.findings: list[ProofFinding] = []
         self._given = tuple(given)
@@ -184,7 +161,7 @@ class LogAuthority:
         unread = list(self.findings)
         self._follow(tuple(given) or tuple(self._named()), changes)
         if other := self._other_authority():
-            # Whoever made this log, it can hold in itself, or not: by its own authority that is told all the same.
+            # Also check whether the log is consistent under its own authority.
             self.is_vouched = False
             self.findings = [ProofFinding(ProofFault.OTHER_AUTHORITY, other), *unread]
             self._follow(tuple(self._named()), changes)
@@ -192,7 +169,7 @@ class LogAuthority:
         self.roots = list(dict.fromkeys(roots))
 
     def _follow(self, first: tuple[Trust, ...], changes: Sequence[tuple[int, Signed]]) -> None:
-        """Follow the authority from its beginning through the lists and rotations of the log, in order."""
+        """Follow the authority through the revocations and rotations of the log, in order."""
         self._in_force = [_InForce(_ALWAYS_NS, _ALWAYS_NS, first)]
         self._foreign.clear()
         for time_ns, signed in changes:
@@ -201,18 +178,17 @@ class LogAuthority:
 
     @property
     def grants(self) -> list[GrantInfo]:
-        """The grants that were judged."""
         return list(self._judged.values())
 
     def judge(self, identifier: bytes, at_ns: int) -> HeldGrant | Objection | None:
-        """Judge a grant as the robot had to at a time, nanoseconds since 1970; None if it is not in the log."""
+        """Judge a grant at a time; None if it is not in the log."""
         return self._judge(self._grants.get(identifier, ()), at_ns)
 
     def judge_own(self) -> Iterator[ProofFinding]:
         """Judge the robot's own grants at the times when it showed them.
 
-        A rotation ends one; until the next one comes, the key is that of the grants on both sides. That a grant is
-        over means that nobody vouches for the key, and not that somebody else has it.
+        A rotation ends a grant; until the next one, the key is that of the grants on both sides. An expired grant
+        leaves the key unproven, but is no sign of tampering.
         """
         for key, chains in self._own.items():
             texts = {chain_text(chain) for chain in chains}
@@ -240,12 +216,12 @@ class LogAuthority:
             yield found
 
     def finding(self, what: str, objection: Objection, at_ns: int) -> ProofFinding:
-        """Return the finding that somebody did something at a time with a grant that did not hold."""
+        """The finding about an action with a grant that did not hold at that time."""
         if objection.reason is Reason.GRANT_UNKNOWN and self._unknown_until_ns != _ALWAYS_NS:
             why = (
-                f"that is under authority {_fingerprints(self._unknown_roots()) or 'of before'}, which was not "
-                f"given; the log shows the rotation from it to {_fingerprints(self._given_keys())}: give the "
-                "authority.json of before it too (--authority FILE for each)"
+                f"it is under authority {_fingerprints(self._unknown_roots()) or 'unknown'}, which was not given; "
+                f"the log shows the rotation from it to {_fingerprints(self._given_keys())}: also give the "
+                "earlier authority.json (--authority FILE for each)"
             )
             return ProofFinding(ProofFault.UNPROVEN, f"{what}: {why}", at_ns)
         is_by_site = objection.detail == BY_SITE
@@ -253,10 +229,10 @@ class LogAuthority:
         return ProofFinding(fault, f"{what}: {_cause(objection)}", at_ns)
 
     def _other_authority(self) -> str:
-        """Return that the whole log is under an authority that was not given, in words; empty if it is not.
+        """The text of a finding that the whole log is under an authority that was not given; empty if it is not.
 
-        So it is if no grant of the robot's own goes back to one that was given, and the log leads to none of them.
-        Where some do, or where an own grant holds under nobody, the others are somebody's who was put in.
+        It is if none of the robot's own grants is under a given authority, and no rotation leads to one. If only
+        some are, the others were inserted.
         """
         chains = [chain for chains in self._own.values() for chain in chains]
         is_whole = all(isinstance(self._verify(one, Trust(one[-1].signer, _NOBODY)), HeldGrant) for one in chains)
@@ -267,12 +243,12 @@ class LogAuthority:
         are = "none of those" if len(self._given) > 1 else "not the one"
         return (
             f"signed under authority {_fingerprints(self._unknown_roots())}, which is {are} that you gave "
-            f"({_fingerprints(self._given_keys())}); the log shows no rotation from it to that: give the "
-            "authority.json of then (--authority FILE). If that authority was never yours, somebody else made this"
+            f"({_fingerprints(self._given_keys())}); the log shows no rotation between them: give the earlier "
+            "authority.json (--authority FILE). If that authority was never yours, the log is not either"
         )
 
     def _unknown_roots(self) -> list[bytes]:
-        """Return the keys of authorities of the robot's own grants that are not known."""
+        """The keys of unknown authorities of the robot's own grants."""
         known = {trust.active for state in self._in_force for trust in state.trusts}
         roots = (chain[-1].signer for chains in self._own.values() for chain in chains)
         return [root for root in dict.fromkeys(roots) if root not in known]
@@ -281,12 +257,12 @@ class LogAuthority:
         return [trust.active for trust in self._given]
 
     def _is_of_former(self, chains: Sequence[list[Signed]]) -> bool:
-        """Report whether an authority that counted before or after signed any of these chains."""
+        """True if an authority in force at any time signed one of these chains."""
         trusts = [trust for state in self._in_force for trust in state.trusts]
         return any(isinstance(self._verify(chain, trust), HeldGrant) for chain in chains for trust in trusts)
 
     def _judge(self, chains: Sequence[list[Signed]], at_ns: int) -> HeldGrant | Objection | None:
-        """The first chain that held; else the first objection, by the authority that certainly counted."""
+        """The first chain that held; else the first objection, of the authority certainly in force."""
         found: HeldGrant | Objection | None = None
         states = list(self._states(at_ns))
         for chain in chains:
@@ -303,7 +279,7 @@ class LogAuthority:
         return found
 
     def _states(self, at_ns: int) -> Iterator[_InForce]:
-        """The state that counted at a time for certain, and then those that may have counted already."""
+        """The state certainly in force at a time, then those that may have been in force already."""
         certain = max(number for number, state in enumerate(self._in_force) if state.shown_ns < at_ns)
         yield self._in_force[certain]
         yield from (state for state in self._in_force[certain + 1 :] if state.earliest_ns <= at_ns)
@@ -313,7 +289,7 @@ class LogAuthority:
         return held if isinstance(held, Objection) else trust.objection(held, now_s) or held
 
     def _verify(self, chain: list[Signed], trust: Trust) -> HeldGrant | Objection:
-        """Verify the signatures of a chain, once for each authority, and nothing that depends on the time."""
+        """Verify the signatures of a chain, once for each authority, independent of time."""
         place = b"".join(one.id + one.signature for one in chain), trust.active
         held = self._verified.get(place)
         if held is None:
@@ -329,7 +305,7 @@ class LogAuthority:
             self._judged[chain[0].id] = _info(chain, statement, held)
 
     def _named(self) -> Iterator[Trust]:
-        """The authority that the robot's first grant names; no one vouches for it."""
+        """The unverified authority of the robot's first grant."""
         of_robot = [chain for chains in self._own.values() for chain in chains]
         for chain in of_robot[:1] or [chains[0] for chains in self._grants.values()][:1]:
             yield Trust(chain[-1].signer, _NOBODY)
@@ -347,7 +323,7 @@ class LogAuthority:
         if accepted:
             self._begin(time_ns, rotation.at, tuple(accepted[:1]))
             return
-        # Of an authority that was given, and not come to by a rotation, it is not known who was there before.
+        # The predecessor of a given authority is unknown.
         led_to = [
             trust
             for trust in trusts
@@ -361,7 +337,7 @@ class LogAuthority:
         elif led_to:
             self._unknown_until_ns = time_ns
         else:
-            what = "a rotation cannot be checked: who the standby is, the log does not say (--authority)"
+            what = "a rotation cannot be verified: the log does not name the standby (--authority)"
             self._find(ProofFault.UNPROVEN, what, time_ns)
             self._unknown_until_ns = time_ns
             new = Trust(bytes.fromhex(rotation.active), bytes.fromhex(rotation.standby), rotation.serial)
@@ -380,9 +356,9 @@ class LogAuthority:
             self._foreign.append((time_ns, signed, "a list of revocations is not the authority's"))
 
     def _judge_foreign(self) -> None:
-        """Judge the statements that no authority in force signed, now that all rotations are known.
+        """Judge the statements that no authority in force signed, when all rotations are known.
 
-        A robot may repeat the list of an authority that was replaced: that list is in force no more.
+        A robot may repeat the revocations of a replaced authority, which are not in force any more.
         """
         trusts = [trust for state in self._in_force for trust in state.trusts]
         known = {key for trust in trusts for key in (trust.active, trust.standby)}
@@ -394,7 +370,7 @@ class LogAuthority:
             self._find(ProofFault.UNPROVEN if is_unknown else ProofFault.WRONGLY_SIGNED, what, time_ns)
 
     def _begin(self, time_ns: int, signed_s: int, trusts: tuple[Trust, ...]) -> None:
-        """The authorities that count from now on. A robot's clock may be behind that of who signed."""
+        """Add the authorities in force from now on. The robot's clock may be behind the signer's."""
         shown_ns = max(time_ns, self._in_force[-1].shown_ns)
         self._in_force.append(_InForce(min(signed_s * _S, shown_ns), shown_ns, trusts))
 
@@ -403,7 +379,7 @@ class LogAuthority:
 
 
 def _cause(objection: Objection) -> str:
-    """Return an objection in words that are the same each second: without how long ago a grant ended."""
+    """The text of an objection, without the time since a grant's end, so that equal ones can be merged."""
     if objection.reason is not Reason.GRANT_EXPIRED:
         return objection.text
     has_begun = "begins" not in objection.detail
@@ -415,7 +391,7 @@ def _fingerprints(keys: Iterable[bytes]) -> str:
 
 
 def _first_shown(statements: Iterable[ShownStatement]) -> list[tuple[int, str]]:
-    """Each text once, with the time when it was shown first, in order of time."""
+    """Each text once, with the time of its first appearance, in order of time."""
     first: dict[str, int] = {}
     for one in statements:
         first[one.text] = min(first.get(one.text, one.time_ns), one.time_ns)
@@ -423,7 +399,7 @@ def _first_shown(statements: Iterable[ShownStatement]) -> list[tuple[int, str]]:
 
 
 def _order(change: tuple[int, Signed]) -> tuple[int, int, int]:
-    """Those that a robot repeats at one time: rotations before lists, each by its serial."""
+    """The order of statements: at equal times rotations before revocations, each by serial."""
     time_ns, signed = change
     serial = signed.statement.serial if isinstance(signed.statement, Rotation | Revocations) else 0
     return time_ns, not isinstance(signed.statement, Rotation), serial
@@ -450,7 +426,7 @@ def _info(chain: Sequence[Signed], grant: Grant, held: HeldGrant | Objection) ->
 
 
 def file_statements(logs: Sequence[LogFile], faults: Faults) -> Iterator[ShownStatement]:
-    """Yield the statements in the metadata of logs; entries of another form are passed over."""
+    """The statements in the metadata of logs; entries of another form are skipped."""
     for log in logs:
         try:
             with log.open() as stream:
@@ -479,22 +455,12 @@ def _shown(name: str, text: str, log: LogFile) -> Iterator[ShownStatement]:
 _DIGITS = 20
 
 
-SIGNED_INPUT: Final = bytes([0x9A, Kind.REQUEST])
-"""A request of signed mode begins so in MessagePack: an array of ten, and the kind."""
-
-OPEN_INPUT: Final = bytes([0x98, Kind.REQUEST])
-"""One of open mode: an array of eight."""
-
-
+SIGNED_INPUT: Final = bytes([0x9A, Kind.REQUEST])  # MessagePack of a request in signed mode: an array of ten
+OPEN_INPUT: Final = bytes([0x98, Kind.REQUEST])  # in open mode: an array of eight
 LEASING: Final = frozenset({"acquire", "take"})
-
 COMMANDING_ROLES: Final = frozenset({GrantRole.PROGRAM, GrantRole.OPERATOR, GrantRole.SUPERVISOR})
-
-SAME_NS: Final = 50_000_000
-"""A request and its decision are of one tick, or of two that follow each other."""
-
-VERBS_MAX: Final = 20_000
-"""Signed verbs that are kept one by one; a flood is counted."""
+SAME_NS: Final = 50_000_000  # a request and its decision are of one tick, or of two successive ones
+VERBS_MAX: Final = 20_000  # signed verbs that are listed; a flood is counted
 
 _DECODER: Final = msgspec.msgpack.Decoder(list[tuple[Any, ...]])
 
@@ -505,7 +471,7 @@ class SignedVerb(msgspec.Struct, frozen=True):
     Attributes:
         time_ns: by the robot's clock, nanoseconds since 1970.
         operator: by the key expression.
-        grant: the identifier of the grant; empty if there was no proof.
+        grant: the identifier of the grant; empty without a proof.
     """
 
     time_ns: int
@@ -517,10 +483,10 @@ class SignedVerb(msgspec.Struct, frozen=True):
 
 
 class RefusedProof(msgspec.Struct):
-    """Requests of one kind whose proof the robot refused, or stops that had none.
+    """Requests of one kind whose proof the robot refused, or stops without one.
 
     Attributes:
-        operator: by the key expression, so as they said themselves.
+        operator: by the key expression, unverified.
         first_ns, last_ns: by the robot's clock, nanoseconds since 1970.
     """
 
@@ -533,11 +499,11 @@ class RefusedProof(msgspec.Struct):
 
 
 class Holder(msgspec.Struct):
-    """Somebody held the lease.
+    """A holder of a lease.
 
     Attributes:
-        grant: identifier of the grant under which it was given; empty if the log does not show it.
-        from_ns, to_ns: the first and the last request under it that was accepted, by the robot's clock.
+        grant: identifier of the holder's grant; empty if the log does not show it.
+        from_ns, to_ns: the first and the last accepted request of the lease, by the robot's clock.
     """
 
     lease: int
@@ -549,16 +515,14 @@ class Holder(msgspec.Struct):
 
 
 class CommandRecord:
-    """Gathers what was commanded.
+    """Collects the commands of a robot.
 
     Attributes:
-        root: first chunks of the robot's keys, which are under its requests' signatures.
-        verbs: those whose proof was accepted, by their time; ``verbs_untold`` more.
-        unproven_stops: remote stops without a proof that holds. They are served all the same.
+        root: first chunks of the robot's keys, which the requests' signatures cover.
+        verbs: those with an accepted proof, by time; ``verbs_untold`` more.
     """
 
     def __init__(self, robot: str, authority: LogAuthority) -> None:
-        """Nothing was commanded yet."""
         self.root = ""
         self._robot, self._authority = robot, authority
         self.verbs: list[SignedVerb] = []
@@ -569,16 +533,15 @@ class CommandRecord:
 
     @property
     def refused(self) -> list[RefusedProof]:
-        """Requests that the robot refused for their proof."""
         return [one for one in self._refused.values() if one.verb != STOP_VERB]
 
     @property
     def unproven_stops(self) -> list[RefusedProof]:
-        """Stops that nobody signed. Who stops waits for no proof: the signed one of its operator follows."""
+        """Stops without a signature: stops are sent before their proof."""
         return [one for one in self._refused.values() if one.verb == STOP_VERB]
 
     def holders(self) -> list[Holder]:
-        """Return the holders of the lease, in order of time."""
+        """The holders of the lease, in order of time."""
         for holder in self._holders.values():
             asked = [
                 verb
@@ -591,7 +554,6 @@ class CommandRecord:
         return sorted(self._holders.values(), key=lambda one: one.from_ns)
 
     def take_decision(self, decision: Decision) -> None:
-        """A decision says who had what accepted."""
         if decision.verdict is not Verdict.ACCEPTED or not decision.lease:
             return
         holder = self._holders.get((decision.operator, decision.lease))
@@ -606,13 +568,12 @@ class CommandRecord:
         holder.drives += decision.request == DRIVE_VERB
 
     def take_journal(self, journal: Journal) -> None:
-        """Take the requests of a message of the journal."""
         if SIGNED_INPUT not in journal.inputs and OPEN_INPUT not in journal.inputs:
             return
         try:
             inputs = _DECODER.decode(journal.inputs)
         except UNREADABLE:
-            what = "a message of the journal whose inputs cannot be read"
+            what = "a journal message with unreadable inputs"
             self.findings.append(ProofFinding(ProofFault.CHANGED, what, journal.time_ns))
             return
         waiting: list[tuple[Any, ...]] = []
@@ -620,7 +581,7 @@ class CommandRecord:
             if one[:1] == (Kind.REQUEST,) and len(one) == _SIGNED_LENGTH:
                 waiting.append(one)
             elif one[:1] == (Kind.REQUEST,):
-                what = "requests of open mode: nothing proves who sent them"
+                what = "requests of open mode: their senders are unproven"
                 self.findings.append(ProofFinding(ProofFault.UNPROVEN, what, journal.time_ns))
             elif one[:1] == (Kind.TICK,) and len(one) > _WALL:
                 self._take_requests(waiting, one[_WALL])
@@ -633,7 +594,7 @@ class CommandRecord:
             try:
                 self._take_request(one, at_ns)
             except (TypeError, ValueError, IndexError, AttributeError):
-                what = "a request in the journal is of no form that a gateway writes"
+                what = "a malformed request in the journal"
                 self.findings.append(ProofFinding(ProofFault.CHANGED, what, at_ns))
 
     def _take_request(self, one: tuple[Any, ...], at_ns: int) -> None:
@@ -668,7 +629,7 @@ class CommandRecord:
         credentials: Sequence[Any],
         at_ns: int,
     ) -> ProofFinding | None:
-        """Return the finding against a verb that should not have been accepted; None if it should."""
+        """The finding against a verb that should not have been accepted; None if it should."""
         command, what = BY_VERB.get(verb), f"{verb} of {operator}"
         if proof is None or command is None:
             return ProofFinding(ProofFault.WRONGLY_SIGNED, f"{what} was accepted without a signature", at_ns)
@@ -684,7 +645,7 @@ class CommandRecord:
         return ProofFinding(ProofFault.NOT_GRANTED, f"{what} was accepted: {detail}", at_ns) if detail else None
 
     def _excess(self, held: HeldGrant, verb: str, operator: str, credentials: Sequence[Any]) -> str:
-        """Return what the robot allowed beyond the grant; empty if nothing."""
+        """The robot's excess over the grant; empty if there is none."""
         grant = held.grant
         if grant.name != operator or grant.role not in COMMANDING_ROLES:
             return f"the grant is of {grant.name}, {grant.role.value}"
@@ -700,20 +661,20 @@ _SIGNED_LENGTH: Final = 10
 _WALL: Final = 2
 
 
-UNSIGNED: Final = "no recorder has signed the log, as in open mode or by an earlier version: nothing proves it"
-OPEN: Final = "a log that is still being written is signed when it is finished"
+UNSIGNED: Final = "the log has no recorder's signature, as in open mode"
+OPEN: Final = "a log is signed when it is finished; this one is still being written"
 
 _BLOCK: Final = 1 << 20
 
 
 class SignedFile(msgspec.Struct, frozen=True):
-    """A log file, and what the signature beside it proves.
+    """A log file and its signature.
 
     Attributes:
-        sha256: of all of it, hexadecimal; empty if it was not read.
-        key: the key that its signature names, hexadecimal; empty if there is none.
-        grant: identifier of that key's grant, hexadecimal; ``statement`` its text, with those of its signers.
-        fits: the file is what this key signed. If not, a finding of the report says why.
+        sha256: of the whole file, hexadecimal; empty if it was not read.
+        key: the signature's key, hexadecimal; empty if there is none.
+        grant: identifier of that key's grant, hexadecimal; ``statement`` is the text of its chain.
+        fits: the key signed this file; else a finding gives the reason.
     """
 
     file: str
@@ -725,7 +686,7 @@ class SignedFile(msgspec.Struct, frozen=True):
 
 
 def prove_file(log: LogFile, faults: Faults, progress: Progress) -> tuple[SignedFile, ProofFinding | None]:
-    """Compare a file with the signature beside it, whosever that is, and return what is wrong."""
+    """Compare a file with the signature beside it, by any signer, and return the finding, if any."""
     name = log.path.name
     if log.is_being_written:
         return SignedFile(name), ProofFinding(ProofFault.UNPROVEN, OPEN)

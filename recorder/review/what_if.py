@@ -1,12 +1,8 @@
-"""Recorded runs with other settings, and many logs beside each other.
+"""Recorded runs with other settings, and reruns of many logs, one task a log.
 
-- The settings that are tried on recorded runs.
-- Logs run again, one task a log: in this process, in several, or on the machines of a cluster.
-
-A recorded run with other settings: the decisions that would differ, and the robot's motion under them.
-
-Where the other run commands the chassis differently, a model of the chassis answers in place of the recorded one.
-What people would have done otherwise nobody knows: they ask what was recorded.
+A run with other settings gives the decisions that would differ, and the robot's motion. Where it commands the
+chassis differently, a model of the chassis answers in place of the recorded one. Operators' requests stay as
+recorded.
 """
 
 from __future__ import annotations
@@ -36,7 +32,7 @@ from schemas.subjects import BY_NAME
 
 
 class TriedSettings(msgspec.Struct, frozen=True):
-    """The run's own configuration or a whole other one, and changes to it. Called with the recorded TOML text.
+    """The run's own configuration or another one, and changes to it; called with the recorded TOML text.
 
     Attributes:
         text: the other configuration as TOML; None for the run's own.
@@ -49,15 +45,10 @@ class TriedSettings(msgspec.Struct, frozen=True):
 
     @property
     def is_own(self) -> bool:
-        """Nothing else is tried than what the run had."""
         return self.text is None and not self.changes
 
     def __call__(self, recorded: str) -> Settings:
-        """Return the settings to try.
-
-        Raises:
-            CommandError: a value is none of this version.
-        """
+        """Return the settings to try; CommandError if a value is invalid in this version."""
         if self.text is None:
             source = TomlSource(CONFIGURATION, recorded, is_recorded=True)
         else:
@@ -65,11 +56,8 @@ class TriedSettings(msgspec.Struct, frozen=True):
         return merge(source, {}, self.changes)
 
 
-STOP_TOLERANCE_NS: Final = 2_000_000_000
-"""Stops of one reason that lie no further apart are the same stop."""
-
-MOVED_NS: Final = 10_000_000
-"""A stop that is this much sooner or later, a tick of the arbiter, is reported."""
+STOP_TOLERANCE_NS: Final = 2_000_000_000  # stops of one reason within this time are the same stop
+MOVED_NS: Final = 10_000_000  # a stop moved by this much, a tick of the arbiter, is reported
 
 
 class StopMade(msgspec.Struct, frozen=True):
@@ -82,14 +70,14 @@ class StopMade(msgspec.Struct, frozen=True):
 
 
 class StopMoved(msgspec.Struct, frozen=True):
-    """A stop that both runs make, and the other one at another time, in nanoseconds since 1970."""
+    """A stop of both runs, in the other one at another time, in nanoseconds since 1970."""
 
     stop: StopMade
     other_ns: int
 
 
 class StopsCompared(msgspec.Struct, frozen=True):
-    """The stops of two runs: only in the recorded one, only in the other, and in both but not at the same time."""
+    """The stops of two runs: only in the recorded one, only in the other, and in both at different times."""
 
     avoided: list[StopMade]
     added: list[StopMade]
@@ -97,7 +85,7 @@ class StopsCompared(msgspec.Struct, frozen=True):
 
 
 class CounterfactualVerdict(msgspec.Struct, frozen=True):
-    """The outcome of a request: the verdict, its reason, and the limits that changed what was asked."""
+    """The outcome of a request: the verdict, its reason, and the limits that bound it."""
 
     verdict: str
     reason: str
@@ -110,11 +98,7 @@ class CounterfactualVerdict(msgspec.Struct, frozen=True):
 
 
 class DecisionChange(msgspec.Struct):
-    """Requests of one kind that would have been judged otherwise.
-
-    Attributes:
-        count: their number; the first came at ``first_ns``, the last at ``last_ns``.
-    """
+    """Requests of one kind that would have been decided differently, from ``first_ns`` to ``last_ns``."""
 
     operator: str
     request: str
@@ -126,7 +110,7 @@ class DecisionChange(msgspec.Struct):
 
 
 class Journey(msgspec.Struct):
-    """The way of a robot."""
+    """The motion of a robot."""
 
     distance_m: float = 0.0
     moving_s: float = 0.0
@@ -135,14 +119,14 @@ class Journey(msgspec.Struct):
 
 
 class WhatIfResult(msgspec.Struct, frozen=True):
-    """A run, and what it would have been.
+    """A run with its own and with other settings.
 
     Attributes:
-        settings: each setting that differs: as it was, and as it is tried.
+        settings: each setting that differs: recorded and tried value.
         first, inputs, detail, rules: as in ``rerun.RerunResult``.
-        decisions: number that both runs made; ``changes`` are those that differ.
-        stops_avoided: stops that were recorded and would not have been; ``stops_added`` the other way round;
-            ``stops_moved`` those of both that would have been sooner or later.
+        decisions: number of decisions of both runs; ``changes`` are those that differ.
+        stops_avoided, stops_added, stops_moved: stops only in the recorded run, only in the other one, and at
+            different times.
     """
 
     robot: str
@@ -164,14 +148,14 @@ class WhatIfResult(msgspec.Struct, frozen=True):
 
     @property
     def differs_ns(self) -> int | None:
-        """The time of the first decision or stop that would have been another; None if there is none."""
+        """The time of the first decision or stop that differs; None if there is none."""
         decided = [change.first_ns for change in self.changes]
         stops = [*self.stops_avoided, *self.stops_added, *(moved.stop for moved in self.stops_moved)]
         return min([*decided, *(stop.time_ns for stop in stops)], default=None)
 
 
 def what_if_parts(player: RerunPlayer, settings_of: Callable[[str], Settings]) -> Iterator[WhatIfResult]:
-    """Every run that a player plays, as it was, and with settings made of its configuration's TOML text."""
+    """Rerun every run of a player with its own settings, and with others made from its TOML text."""
     while player.next_part():
         yield _what_if(player, settings_of)
 
@@ -186,8 +170,8 @@ def _what_if(player: RerunPlayer, settings_of: Callable[[str], Settings]) -> Wha
         settings, other = settings_from(text), settings_of(text)
         changed = _changed_settings(settings, other)
         try:
-            for said in what_if(settings, other, player.journals()):
-                pair.take(said.sample, is_other=said.is_other)
+            for output in what_if(settings, other, player.journals()):
+                pair.take(output.sample, is_other=output.is_other)
         except UNREADABLE as error:
             player.break_off(error)
         run = player.result(pair.start_ns)
@@ -195,7 +179,7 @@ def _what_if(player: RerunPlayer, settings_of: Callable[[str], Settings]) -> Wha
 
 
 def _changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[object, object]]:
-    """Return the settings of the arbiter that differ; bus and network make no difference here."""
+    """The settings of the arbiter that differ."""
     return {
         f"{section}.{name}": (was, tried)
         for section in ("command", "chassis", "gateway")
@@ -205,14 +189,14 @@ def _changed_settings(settings: Settings, other: Settings) -> dict[str, tuple[ob
 
 
 def compared(recorded: Sequence[StopMade], other: Sequence[StopMade]) -> StopsCompared:
-    """Pair the stops of the two runs: those of the same reason, and near in time."""
+    """Pair the stops of two runs by reason and time."""
     by_reason: dict[str, deque[StopMade]] = {}
     for stop in sorted(other, key=_time):
         by_reason.setdefault(stop.reason, deque()).append(stop)
     found = StopsCompared([], [], [])
     for stop in sorted(recorded, key=_time):
         left = by_reason.get(stop.reason, deque())
-        # Both in the order of time: what is too early for this stop is so for all that follow.
+        # In order of time: what is too early for this stop is too early for all later ones.
         while left and left[0].time_ns < stop.time_ns - STOP_TOLERANCE_NS:
             found.added.append(left.popleft())
         if not left or left[0].time_ns > stop.time_ns + STOP_TOLERANCE_NS:
@@ -260,12 +244,7 @@ class _Side:
 
 
 class _RunsCompared:
-    """Both runs, as they were and as they would have been.
-
-    Attributes:
-        changes: the decisions that differ, alike ones together.
-        start_ns, end_ns: of the states that were taken; 0 before the first.
-    """
+    """The comparison of both runs; ``start_ns`` and ``end_ns`` are those of the states, 0 before the first."""
 
     def __init__(self) -> None:
         self.changes: dict[tuple[object, ...], DecisionChange] = {}
@@ -274,7 +253,6 @@ class _RunsCompared:
         self._decisions = 0
 
     def take(self, sample: Sample, *, is_other: bool) -> None:
-        """Take a sample of one of them."""
         if sample.subject not in _TAKEN:
             return
         message = codec.decode(BY_NAME[sample.subject], sample.payload)
@@ -292,7 +270,6 @@ class _RunsCompared:
                 pass
 
     def result(self, run: RerunResult, settings: dict[str, tuple[object, object]]) -> WhatIfResult:
-        """Sum up both."""
         recorded, tried = self._sides[False].journey, self._sides[True].journey
         stops = compared(recorded.stops, tried.stops)
         return WhatIfResult(
@@ -315,7 +292,7 @@ class _RunsCompared:
         )
 
     def _take_decision(self, decision: Decision, *, is_other: bool) -> None:
-        """Pair the decisions of both runs by sequence: both judge the same requests in the same order."""
+        """Pair the decisions of both runs by sequence: both decide the same requests in the same order."""
         counterpart = self._sides[not is_other].waiting.pop(decision.sequence, None)
         if counterpart is None:
             self._sides[is_other].waiting[decision.sequence] = decision
@@ -346,8 +323,8 @@ def _verdict_of(decision: Decision) -> CounterfactualVerdict:
 
 
 FOLLOWS_NS: Final = 600_000_000_000
-"""Files of a robot that lie no further apart are one log. A gateway keeps its journal for some ten minutes, and a
-recorder that comes back asks for it: a run goes on over such a gap."""
+"""Files of a robot within this time are one log: a gateway stores its journal for about ten minutes, and a
+returning recorder queries it, so that a run continues over the gap."""
 
 
 class RerunTask(msgspec.Struct, frozen=True):
@@ -360,12 +337,11 @@ class RerunTask(msgspec.Struct, frozen=True):
 
     @property
     def bytes(self) -> int:
-        """The length of all files."""
         return sum(log.bytes for log in self.logs)
 
 
 class RerunOutcome(msgspec.Struct, frozen=True):
-    """The result of a task: one for each run of a gateway, or for each part of one between gaps."""
+    """The results of a task: one for each run of a gateway, or for each part of one between gaps."""
 
     results: list[RerunResult | WhatIfResult]
     faults: Faults
@@ -377,14 +353,14 @@ def rerun_tasks(logs: Sequence[LogFile], tried: TriedSettings, faults: Faults) -
     tasks = []
     for robot in found.robots:
         files = logs_of(robot, logs)
-        # A recorder writes a configuration when it is new to it, maybe in a log before.
+        # A recorder writes a new configuration once, perhaps in an earlier log.
         configurations = configurations_of(robot, files, found, faults)
         tasks += [RerunTask(robot, log, configurations, tried) for log in _joined(files)]
     return tasks
 
 
 def _joined(files: Iterable[LogFile]) -> Iterator[list[LogFile]]:
-    """Yield files that follow each other together."""
+    """Group successive files."""
     log: list[LogFile] = []
     end_ns = 0
     for file in files:
@@ -398,7 +374,7 @@ def _joined(files: Iterable[LogFile]) -> Iterator[list[LogFile]]:
 
 
 def run_task(task: RerunTask, progress: Progress) -> RerunOutcome:
-    """Run a log again, with the settings of its runs or with others."""
+    """Rerun a log with its own settings, or with others."""
     faults = Faults()
     player = RerunPlayer(task.robot, task.logs, task.configurations, faults, progress)
     parts = rerun_parts(player) if task.tried.is_own else what_if_parts(player, task.tried)

@@ -108,7 +108,7 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
         r"none +\d"
     ),
     "cruiser review export -o dataset demo-log": Run(""),
-    "cruiser review replay demo-log --listen tcp/127.0.0.1:7450": Start("waits for somebody", stays=True),
+    "cruiser review replay demo-log --listen tcp/127.0.0.1:7450": Start("waiting for a subscriber", stays=True),
     "cruiser watch cruiser-1 --root replay --connect tcp/127.0.0.1:7450": Start("cruiser-1"),
     # A payload, on a robot.
     "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),

@@ -1,6 +1,6 @@
-"""The catalog of a directory of logs: a summary of each, as a row of one Parquet file beside them.
+"""The catalog of a directory of logs: one Parquet file beside them, with a row for each log.
 
-- ``log_row``    a row: what the other questions find in a log; as a file of its own too, made without pyarrow
-- ``directory``  the catalog of a directory or of a place in a store: rows that still hold, logs to be opened
+- ``log_row``    a row: a summary of a log; also as a separate file, made without pyarrow
+- ``directory``  the catalog of a directory or of a place in a store: valid rows, and logs to open
 - ``find``       searches in it
 """

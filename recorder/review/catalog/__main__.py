@@ -1,8 +1,6 @@
-"""The row of a log on the standard output, for who makes it in a process of its own.
+"""Write the row of a log to the standard output. A process of its own keeps the uploader small.
 
 Usage: python -m recorder.review.catalog LOG
-
-Its place and name are Python's rule.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from schemas.command_line import CommandError
 
 
 def main() -> int:
-    """Write the row; an exit code that is not 0 says on the standard error why there is none."""
     path = Path(sys.argv[1])
     try:
         row = write_row(path, path.name, path.stat().st_mtime_ns)

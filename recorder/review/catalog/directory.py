@@ -1,6 +1,7 @@
-"""The catalog of a directory: which rows still hold, which logs have to be opened, and its Parquet file.
+"""The catalog of a directory: its Parquet file, the valid rows, and the logs to open.
 
-That of a place in an object store are the rows beside its logs; of a log whose row does not hold a copy is read.
+The catalog of a place in an object store consists of the rows beside its logs; a log without a valid row is copied
+and read.
 """
 
 from __future__ import annotations
@@ -39,12 +40,11 @@ from schemas.command_line import CommandError, ExitCode, other_kind, plain
 
 ROWS_IN_GROUP: Final = 8192
 
-READ_MAX_BYTES: Final = 2 << 30
-"""The memory that reading a catalog may take: one of a few megabytes can be made that unpacks to any size."""
+READ_MAX_BYTES: Final = 2 << 30  # memory limit of reading a catalog: a few megabytes may unpack to any size
 
 
 def _field(name: str, kind: inspect.Type) -> pa.Field:
-    """The column or part of one; null is no value but where the row's class has None."""
+    """A column or a part of one, nullable only where the row's class has None."""
     if isinstance(kind, inspect.UnionType):
         [known] = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
         return pa.field(name, _arrow_type(known))
@@ -72,16 +72,15 @@ SCHEMA: Final = pa.schema(
     list(_arrow_type(inspect.type_info(CatalogRow))),
     metadata={"format": FORMAT, "version": str(VERSION)},
 )
-"""The columns, made of the fields of ``CatalogRow``."""
+"""The columns, from the fields of ``CatalogRow``."""
 
 
 def to_table(rows: Iterable[CatalogRow]) -> pa.Table:
-    """Rows as a table."""
     return pa.Table.from_pylist([_bounded(msgspec.to_builtins(row)) for row in rows], SCHEMA)
 
 
 def _bounded(value: Any) -> Any:  # noqa: ANN401 - any of a row's parts
-    """The same with all counts in the range of a column: those of a log may be of anybody's making."""
+    """The value with all numbers cut to the range of a column: a log's are untrusted."""
     match value:
         case dict():
             return {key: _bounded(one) for key, one in value.items()}
@@ -96,17 +95,11 @@ def _bounded(value: Any) -> Any:  # noqa: ANN401 - any of a row's parts
 
 
 def to_rows(table: pa.Table) -> list[CatalogRow]:
-    """The rows of a table with all columns."""
     return msgspec.convert(table.to_pylist(maps_as_pydicts="strict"), list[CatalogRow])
 
 
 def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
-    """Read a catalog.
-
-    Raises:
-        FileNotFoundError: there is none.
-        CatalogUnreadableError: it cannot be read.
-    """
+    """Read a catalog; FileNotFoundError without one, CatalogUnreadableError if it cannot be read."""
     try:
         if kind := other_kind(path.stat().st_mode):
             raise CatalogUnreadableError(f"is {kind}")
@@ -116,9 +109,9 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
             pq.ParquetFile(stream, page_checksum_verification=True) as file,
         ):
             schema = file.schema_arrow
-            told: dict[bytes, bytes] = schema.metadata or {}
-            version = told.get(b"version", b"").decode(errors="replace")
-            if told.get(b"format") != FORMAT.encode():
+            metadata: dict[bytes, bytes] = schema.metadata or {}
+            version = metadata.get(b"version", b"").decode(errors="replace")
+            if metadata.get(b"format") != FORMAT.encode():
                 raise CatalogUnreadableError("is no catalog")
             if version != str(VERSION) or not schema.equals(SCHEMA):
                 raise CatalogUnreadableError("is of another version")
@@ -136,7 +129,7 @@ def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
 
 @contextmanager
 def bounded_memory() -> Generator[None, None, None]:
-    """Let this process take ``READ_MAX_BYTES`` more than it has. Whoever asks for more gets a MemoryError."""
+    """Limit this process to ``READ_MAX_BYTES`` more memory than it has; beyond that is a MemoryError."""
     before, hard = resource.getrlimit(resource.RLIMIT_DATA)
     taken = int(Path("/proc/self/statm").read_text("ascii").split()[5]) * resource.getpagesize()
     bounds = [one for one in (taken + READ_MAX_BYTES, before, hard) if one != resource.RLIM_INFINITY]
@@ -148,9 +141,9 @@ def bounded_memory() -> Generator[None, None, None]:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Replace a catalog in one step: whoever reads meanwhile sees the old one or the new one."""
+    """Replace a catalog atomically."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
-    # A link of that name may lead to anywhere.
+    # A link of that name may lead anywhere.
     beside.unlink(missing_ok=True)
     try:
         with beside.open("xb") as stream:
@@ -169,13 +162,11 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 CATALOG_NAME: Final = "catalog.parquet"
-"""The catalog in the directory of its logs."""
-
 _CHECKED: Final = ["file", "bytes", "modified_ns", "is_incident", "start_ns", "end_ns"]
 
 
 class _Status(msgspec.Struct, frozen=True):
-    """A file of the directory, as the file system has it."""
+    """A file of the directory."""
 
     name: str
     bytes: int
@@ -183,17 +174,14 @@ class _Status(msgspec.Struct, frozen=True):
 
 
 class Catalog:
-    """The catalog of a directory, as far as its rows hold; ``refresh`` adds the rest.
+    """The valid rows of a directory's catalog; ``refresh`` adds the rest. CommandError if it cannot be read.
 
-    A row holds as long as its file has the same length and the same time of its last change.
+    A row is valid while its file has the same length and time of change.
 
     Attributes:
         stale: the logs that have to be opened, and ``stale_bytes`` their length.
         being_written: logs that a recorder has open: they have no row.
-        notes: lines for people: why the catalog was made anew, or could not be written.
-
-    Raises:
-        CommandError: the directory cannot be read.
+        notes: lines for people: why the catalog was rebuilt, or could not be written.
     """
 
     def __init__(self, directory: Path, columns: Sequence[str], path: Path | None = None) -> None:
@@ -213,7 +201,7 @@ class Catalog:
             if name in files and seen == [files[name].bytes, files[name].modified_ns]
         }
         is_same = len(held) == known.num_rows == len(files)
-        # Where it is written again every column is needed.
+        # To write it again, all columns are needed.
         self._table = self._read(columns if is_same else None) if held else SCHEMA.empty_table()
         self._held = held if self._table.num_rows else set()
         self.stale = [one for name, one in sorted(files.items()) if name not in self._held]
@@ -222,12 +210,11 @@ class Catalog:
 
     @property
     def stale_bytes(self) -> int:
-        """The length of all logs that have to be opened."""
         return sum(one.bytes for one in self.stale)
 
     @property
     def table(self) -> pa.Table:
-        """The wanted columns of the rows, by the logs' beginning. After ``refresh``."""
+        """The wanted columns, ordered by the logs' start; after ``refresh``."""
         return self._table.select(self._columns)
 
     def refresh(
@@ -236,11 +223,9 @@ class Catalog:
         progress: Progress = lambda _: None,
         in_time: Callable[[int, Progress], Progress] = lambda _, progress: progress,
     ) -> None:
-        """Open the logs that have no row, and write the catalog if anything changed.
+        """Open the logs without a valid row, and write the catalog if anything changed, even when interrupted.
 
-        What was found is written also where the reading is interrupted.
-
-        ``in_time`` makes the progress of one log of so many bytes, which may give it up.
+        ``in_time`` makes the progress of one log of a given size, which may raise to give it up.
         """
         found: list[CatalogRow] = []
         try:
@@ -250,7 +235,7 @@ class Catalog:
                     found.append(_row(self._directory, one, in_time(one.bytes, progress)))
                 except CommandError as error:
                     faults.add(f"{one.name}: {error}" if error.code is ExitCode.PARTIAL else str(error))
-                    # Leave to read it is given without a change of the file.
+                    # Permissions may change without a change of the file.
                     if not isinstance(error.__cause__, OSError):
                         why = str(error).removeprefix(f"{plain(str(self._directory / one.name))} ")
                         found.append(unreadable(name_in_row(one.name), one.bytes, one.modified_ns, why))
@@ -282,12 +267,10 @@ class Catalog:
             write_table(self._path, self._table)
         except OSError as error:
             why = error.strerror or error
-            self.notes.append(
-                f"cannot write {plain(str(self._path))}: {why}; what was read is read again next time"
-            )
+            self.notes.append(f"cannot write {plain(str(self._path))}: {why}; the logs are read again next time")
 
     def _with_coverage(self, table: pa.Table, new: set[str]) -> pa.Table:
-        """Find out anew which incidents the other logs hold, where any of these has come, changed or gone."""
+        """Update which incidents are covered by other logs, where logs came, changed or were deleted."""
         names = ["file", "bytes", "start_ns", "end_ns"]
         rows = [table.column(name).to_pylist() for name in names]
         logs = {name: LogFile(self._directory / name, *span) for name, *span in zip(*rows, strict=True)}
@@ -313,7 +296,7 @@ class Catalog:
 
 
 def _files(directory: Path) -> dict[str, _Status]:
-    """The logs of a directory, by their names as rows have them. There may be very many."""
+    """The logs of a directory, by their names in rows."""
     found = {}
     try:
         with os.scandir(directory) as entries:
@@ -337,7 +320,7 @@ def _files(directory: Path) -> dict[str, _Status]:
 
 
 def name_in_row(name: str) -> str:
-    """Return the name that a log has in its row: with escapes for the bytes that are no text."""
+    """The name of a log in its row, with escapes for bytes that are no text."""
     return name if name.isascii() else os.fsencode(name).decode(errors="backslashreplace")
 
 
@@ -359,25 +342,19 @@ def _spans(table: pa.Table) -> list[tuple[int, int]]:
     return list(zip(logs.column("start_ns").to_pylist(), logs.column("end_ns").to_pylist(), strict=True))
 
 
-AT_ONCE: Final = 16
-"""Rows that are asked for at the same time."""
-
-ROW_MAX: Final = 16 * 1024 * 1024
-"""A longer object is no row."""
+AT_ONCE: Final = 16  # rows requested at the same time
+ROW_MAX: Final = 16 * 1024 * 1024  # a longer object is no row
 
 
 class PlaceCatalog:
-    """The catalog of a place, as far as its rows hold; ``refresh`` adds the rest.
+    """The valid rows of a place in a store; ``refresh`` adds the rest. CommandError if it cannot be listed.
 
-    A row holds for a log of the same name and length: nobody overwrites a log of an upload.
+    A row is valid for a log of the same name and length: uploads never overwrite a log.
 
     Attributes:
         stale: the logs that have to be read, and ``stale_bytes`` their length.
-        being_written: always empty: a store shows a log when it is whole.
+        being_written: always empty: a store shows only whole logs.
         notes: lines for people.
-
-    Raises:
-        CommandError: the store does not answer, or lists nothing.
     """
 
     def __init__(
@@ -395,7 +372,7 @@ class PlaceCatalog:
         self._columns = list(columns)
         with self._reachable(place.url):
             if not place.has_list:
-                text = f"find cannot ask {shown_url(place.url)}: such a server does not list what it holds"
+                text = f"find cannot search {shown_url(place.url)}: an HTTP server has no list of its logs"
                 raise CommandError(text, ExitCode.USAGE)
             listed = {one.name: one.bytes for one in objects.names()}
         self._logs = {name: size for name, size in listed.items() if name.endswith(SUFFIX)}
@@ -406,12 +383,11 @@ class PlaceCatalog:
 
     @property
     def stale_bytes(self) -> int:
-        """The length of all logs that have to be read."""
         return sum(self._logs[name] for name in self.stale)
 
     @property
     def table(self) -> pa.Table:
-        """The wanted columns of the rows, by the logs' beginning. After ``refresh``."""
+        """The wanted columns, ordered by the logs' start; after ``refresh``."""
         table = to_table(self._rows).sort_by([("start_ns", "ascending"), ("file", "ascending")])
         return table.select(self._columns).combine_chunks()
 
@@ -421,13 +397,10 @@ class PlaceCatalog:
         progress: Progress = lambda _: None,
         in_time: Callable[[int, Progress], Progress] = lambda _, progress: progress,
     ) -> None:
-        """Read copies of the logs that have no row.
-
-        ``in_time`` makes the progress of one log of so many bytes, which may give it up.
-        """
+        """Read copies of the logs without a valid row; ``in_time`` as in ``Catalog.refresh``."""
         if self.stale:
             url = shown_url(self._place.url)
-            self.notes.append(f"{len(self.stale)} logs of {url} had no row that holds: they were read")
+            self.notes.append(f"{len(self.stale)} logs of {url} had no valid row: they were read")
         while self.stale:
             name = self.stale[0]
             try:
@@ -439,26 +412,25 @@ class PlaceCatalog:
             self.stale.pop(0)
 
     def _uploaded(self, names: Sequence[str]) -> Iterator[CatalogRow]:
-        """The rows beside these logs that hold, each under its log's name; some are fetched at a time."""
+        """The valid rows beside these logs, fetched in parallel."""
         pool = ThreadPoolExecutor(AT_ONCE)
         try:
-            # Unpacked one after the other: each may be large.
+            # Unpacked one by one: each may be large.
             for name, data in zip(names, pool.map(self._fetched, names), strict=True):
                 with suppress(CatalogUnreadableError):
                     yield msgspec.structs.replace(read_row(data, self._logs[name]), file=name)
         finally:
-            # A store that is gone is not asked for each.
+            # Stop asking a store that is gone.
             pool.shutdown(cancel_futures=True)
 
     def _fetched(self, name: str) -> bytes:
-        """The object of a row; empty if it is gone, or longer than any row."""
+        """The object of a row; empty if it is gone or too long."""
         row = name + ROW_SUFFIX
         found = self._objects.look(row)
         is_there = found is not None and 0 < found.bytes <= ROW_MAX
         return self._objects.read(row, 0, found.bytes, found.e_tag) if found and is_there else b""
 
     def _made(self, name: str, progress: Progress) -> CatalogRow:
-        """Make the row of a log, of which a copy is read."""
         path = self._cache.fetch(self._objects, self._place, name, progress)
         try:
             return row_of(path, name, 0)

@@ -16,22 +16,14 @@ from recorder.review.query import CatalogSource, answer
 
 
 class Search(msgspec.Struct, frozen=True):
-    """A search.
-
-    Attributes:
-        columns: those of the catalog that the statement reads, or the command.
-    """
+    """A search; ``columns`` are those that the statement or the command reads."""
 
     sql: str
     columns: tuple[str, ...]
 
 
 class FindConditions(msgspec.Struct, frozen=True):
-    """Conditions, all of which have to hold; None holds always.
-
-    Attributes:
-        since_ns, until_ns: the time that an answer has to reach into, since 1970.
-    """
+    """Conditions, all of which have to hold; an answer must overlap the period since 1970."""
 
     robots: Collection[str] | None = None
     reason: str | None = None
@@ -57,7 +49,7 @@ _MOMENTS: Final = Search(
     """,
     (*_ALWAYS, "moments"),
 )
-"""Something that happened; what several logs hold once, of the log that begins first."""
+"""Moments; duplicates in several logs once, from the log that begins first."""
 
 _DRIVES: Final = Search(
     """
@@ -78,7 +70,7 @@ _DRIVES: Final = Search(
     """,
     (*_ALWAYS, "operators", "moments", "drives"),
 )
-"""Times of being commanded, or of moving. An operator has driven the robot in the same log."""
+"""Drives. An operator has driven the robot in the same log."""
 
 _LOGS: Final = Search(
     """
@@ -92,7 +84,7 @@ _LOGS: Final = Search(
     """,
     tuple(name for name in SCHEMA.names if name != "moments"),
 )
-"""Logs without what happened in them: there may be thousands, which the other searches give."""
+"""Logs without their moments, of which there may be thousands."""
 
 SEARCHES: Final[Mapping[str, Search]] = {
     "stops": _MOMENTS,
@@ -110,12 +102,7 @@ def find(
     newest: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> list[dict[str, Any]]:
-    """Return the answers by their time, as JSON has them.
-
-    Raises:
-        CommandError: it cannot be answered.
-        KeyboardInterrupt: it was stopped.
-    """
+    """The answers in order of time, as JSON objects. CommandError, or KeyboardInterrupt if stopped."""
     sql = SEARCHES[search].sql
     values = {"search": search, **msgspec.structs.asdict(conditions)}
     if conditions.robots is not None:

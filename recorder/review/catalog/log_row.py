@@ -1,6 +1,6 @@
-"""The row of a log in the catalog: what the other questions find in it.
+"""The row of a log in the catalog: a summary of the answers to other questions.
 
-A robot makes it with no more than it records with: the libraries for tables are needed where rows are searched.
+A robot makes it with the packages of a recorder; libraries for tables are needed only to search rows.
 """
 
 from __future__ import annotations
@@ -23,17 +23,10 @@ from schemas.decisions import Severity
 from schemas.reasons import Reason
 
 FORMAT: Final = "cruiser-catalog"
-VERSION: Final = 5
-"""Rises with each change of what a row says; a catalog of another version is made anew."""
-
-INCIDENT: Final = "incident"
-"""The kind of a moment for which an incident was kept."""
-
-NEVER_NS: Final = 2**63 - 1
-"""The latest time that a column holds: MCAP's own reach further."""
-
-DAMAGE_MAX: Final = 3
-"""Faults of a file that are kept in words."""
+VERSION: Final = 5  # rises with each change of a row's content; a catalog of another version is rebuilt
+INCIDENT: Final = "incident"  # the kind of a moment with an incident
+NEVER_NS: Final = 2**63 - 1  # the latest time in a column; MCAP's times reach further
+DAMAGE_MAX: Final = 3  # faults of a file with their text
 
 
 class CatalogUnreadableError(Exception):
@@ -41,13 +34,12 @@ class CatalogUnreadableError(Exception):
 
 
 class LoggedMoment(msgspec.Struct, frozen=True):
-    """Something that happened: an entry of ``cruiser review events``, refusals of one kind, or an incident.
+    """An entry of ``cruiser review events``, refusals of one kind, or an incident.
 
     Attributes:
-        time_ns: by the robot's clock, nanoseconds since 1970...
-        last_ns: ...and when the last of ``count`` alike ones was.
-        kind: those of ``events``, or ``incident``.
-        operator: who did it; empty if it was nobody's doing.
+        time_ns, last_ns: the first and the last of ``count`` equal ones, by the robot's clock, since 1970.
+        kind: as in ``events``, or ``incident``.
+        operator: empty if no operator caused it.
     """
 
     time_ns: int
@@ -64,12 +56,12 @@ class LoggedMoment(msgspec.Struct, frozen=True):
 
 
 class LoggedDrive(msgspec.Struct, frozen=True):
-    """A time of being commanded, or of moving, between long rests.
+    """A period of being commanded or moving, between long rests.
 
     Attributes:
-        missing_s: time in it of which nothing is known: the distance is at least ``distance_m``.
-        stops: their number; ``ends`` that of the ends that were asked for.
-        severity: that of the worst moment, and ``text`` what that is.
+        missing_s: time in it without data: the distance is at least ``distance_m``.
+        stops: number of stops; ``ends`` of normal ends.
+        severity, text: of the worst moment.
     """
 
     start_ns: int
@@ -84,7 +76,7 @@ class LoggedDrive(msgspec.Struct, frozen=True):
 
 
 class LoggedRobot(msgspec.Struct, frozen=True):
-    """A robot that has keys in the log."""
+    """A robot with keys in the log."""
 
     root: str
     name: str
@@ -103,20 +95,19 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
     """A log.
 
     Attributes:
-        modified_ns: the time of its last change, as the file system has it.
-        start_ns, end_ns: the first and the last log time, both 0 if it holds no message; at most NEVER_NS.
+        modified_ns: the file's time of change.
+        start_ns, end_ns: the first and the last log time, both 0 without messages; at most NEVER_NS.
         is_whole: it was closed properly.
-        faults: parts that could not be read; ``damage`` has the first ones in words, or ``unreadable: ...``.
-        robots: those with keys in it; ``names`` also those that its recorder names alone.
-        is_incident: it repeats what happened around an incident...
-        is_covered: ...and the other logs of the directory hold all of it.
+        faults: number of unreadable parts; ``damage`` has the first texts, or ``unreadable: ...``.
+        robots: those with keys in it; ``names`` also those named only by the recorder.
+        is_incident: it is the log of an incident; ``is_covered`` if other logs of the directory hold all of it.
         distance_m, moving_s, top_mps: of all robots together; the highest speed in either direction.
-        events, stops, ends: their numbers by kind, by cause, and of ends that were asked for by reason.
-        lost, lost_bus, lost_source: by the recorder's own account; None if it gives none.
-        gap_s: time for which nothing is known of a robot's motion.
+        events, stops, ends: numbers by kind, by cause, and of normal ends by reason.
+        lost, lost_bus, lost_source: by the recorder's count; None if there is none.
+        gap_s: time without data on a robot's motion.
         versions: of the recorder, and of each robot's gateway and packages.
-        settings: hashes of the configurations that were in force.
-        more_moments, more_drives: those for which there was no room.
+        settings: hashes of the configurations in force.
+        more_moments, more_drives: those beyond the limits.
     """
 
     file: str
@@ -156,11 +147,7 @@ class CatalogRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda _: None) -> CatalogRow:
-    """Make the row of a log, which is read from its beginning to its end.
-
-    Raises:
-        CommandError: it cannot be opened.
-    """
+    """Make the row of a log from all its messages; CommandError if it cannot be opened."""
     log, faults = look_at(path), Faults()
     info = read_info(log.path)
     report = read_report([log], Selection(), faults, progress)
@@ -211,7 +198,7 @@ def row_of(path: Path, file: str, modified_ns: int, progress: Progress = lambda 
 
 
 def unreadable(file: str, size: int, modified_ns: int, why: str) -> CatalogRow:
-    """Make the row of a log of which nothing can be read, so that no search tries it again until it changes."""
+    """Make the row of an unreadable log, which is not tried again until it changes."""
     return CatalogRow(file=file, bytes=size, modified_ns=modified_ns, faults=1, damage=[f"unreadable: {why}"])
 
 
@@ -276,7 +263,7 @@ def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
             yield LoggedMoment(
                 time_ns=at_ns,
                 last_ns=at_ns,
-                # A log of several robots does not say whose incident it is.
+                # In a log of several robots the incident's robot is unknown.
                 robot=robots[0] if len(robots) == 1 else "",
                 kind=INCIDENT,
                 severity=Severity.WARNING.value,
@@ -290,17 +277,16 @@ def _moments(info: LogInfo, report: Report) -> Iterator[LoggedMoment]:
 
 
 def _time(text: str) -> int | None:
-    """A time of a log's metadata, which may be anybody's."""
+    """A time in a log's metadata, which is untrusted."""
     is_number = text.isascii() and text.isdecimal() and len(text) <= len(str(NEVER_NS))
     return _bounded(int(text)) if is_number else None
 
 
-UNPACKED_MAX: Final = 64 * 1024 * 1024
-"""A row that unpacks to more is none."""
+UNPACKED_MAX: Final = 64 * 1024 * 1024  # limit of an unpacked row
 
 
 class RowFile(msgspec.Struct, frozen=True):
-    """The content of such a file."""
+    """The content of a row's file."""
 
     format: str
     version: int
@@ -308,21 +294,13 @@ class RowFile(msgspec.Struct, frozen=True):
 
 
 def write_row(path: Path, file: str, modified_ns: int) -> bytes:
-    """Make the row of a log, which is read from its beginning to its end.
-
-    Raises:
-        CommandError: it cannot be opened.
-    """
+    """Make the file of a log's row; CommandError if the log cannot be opened."""
     row = msgspec.json.encode(row_of(path, file, modified_ns))
     return zstandard.compress(msgspec.json.encode(RowFile(FORMAT, VERSION, msgspec.Raw(row))))
 
 
 def read_row(data: bytes, log_bytes: int) -> CatalogRow:
-    """Read the row of a log of this length.
-
-    Raises:
-        CatalogUnreadableError: it is damaged, of another version, or of another log.
-    """
+    """Read the row of a log of this length; CatalogUnreadableError if it is damaged, or of another log."""
     try:
         if not 0 <= zstandard.frame_content_size(data) <= UNPACKED_MAX:
             raise CatalogUnreadableError("unpacks to too much")

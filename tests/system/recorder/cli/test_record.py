@@ -112,7 +112,7 @@ def test_without_a_sample_there_is_no_log(tmp_path: Path) -> None:
     assert code == ExitCode.UNREACHABLE
     assert json.loads(out)["path"] is None
     assert warning.endswith("no Zenoh node is connected; retrying\n")
-    assert err == "cruiser record: no sample came, so there is no log\n"
+    assert err == "cruiser record: no sample received, so there is no log\n"
     assert logs_in(tmp_path) == []
 
 

@@ -125,7 +125,7 @@ def test_when_nothing_may_go_recording_stops_and_goes_on_when_there_is_room(
     assert reason is GapReason.FULL
     lost = json.loads(out)["keys"]["fleet/cruiser-1/meanwhile"]["lost_full"]
     assert lost == sum(gap.count for gap in told.gaps() if gap.key == "fleet/cruiser-1/meanwhile") > 0
-    assert "no room for" in err
+    assert "recording stopped: the disk is full" in err
     found = [check_log(path) for path in whole(small_disk)]
     assert len(found) == 2
     assert all(one.whole for one in found)

@@ -101,7 +101,7 @@ def test_files_that_are_no_certificate_with_its_key_are_named(tmp_path: Path) ->
     chain, key = certified(tmp_path, "one")
     _, other = certified(tmp_path, "two")
     for files in ((tmp_path / "no.pem", key), (key, chain), (chain, other)):
-        with pytest.raises(CommandError, match=r"no certificate with its key|do not belong together") as error:
+        with pytest.raises(CommandError, match=r"no certificate with its key|do not match") as error:
             ViewServer("bench", "127.0.0.1", 0, files)
         assert str(files[0]) in str(error.value)
         assert str(files[1]) in str(error.value)

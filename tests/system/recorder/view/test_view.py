@@ -142,7 +142,7 @@ def test_a_robot_that_falls_silent_is_not_shown_as_current(scene: Scene) -> None
     with FoxgloveClient(scene.url) as viewer:
         scene.gateway.process.send_signal(signal.SIGSTOP)
         viewer.wait(lambda one: bool(one.said))
-        assert viewer.said[0]["message"] == "cruiser-1 is silent: what is shown of it is not current"
+        assert viewer.said[0]["message"] == "cruiser-1 is silent: its values are out of date"
         with FoxgloveClient(scene.url) as late:
             late.wait(lambda one: bool(one.said))
         scene.gateway.process.send_signal(signal.SIGCONT)
@@ -168,7 +168,7 @@ def test_a_robot_that_is_not_there_is_named() -> None:
         run_command(view, *words, settings=settings(endpoint))
     with Peer(endpoint) as peer:
         peer.put(sample_of(gear(0)))
-        with pytest.raises(CommandError, match=r"no sample of cruiser-9 came .*'cruiser list' says") as error:
+        with pytest.raises(CommandError, match=r"no sample of cruiser-9 received .*'cruiser list' shows") as error:
             run_command(view, *words, settings=settings(endpoint))
     assert error.value.code is ExitCode.UNREACHABLE
 

@@ -129,16 +129,16 @@ $ info cut.mcap
 == a recovery as JSON [cut.mcap.part]
 $ recover --json cut.mcap.part => {"outcome": "recovered", "messages": 12, "kept": null, "result": "cut.mcap"}
 == a damaged log is a partial recovery, and the rest is kept [chunk.mcap.part]
-3$ recover chunk.mcap.part => damaged, 2 messages | fault: byte | kept in chunk.mcap.damaged
+3$ recover chunk.mcap.part => damaged, 2 messages | fault: byte | rest is in chunk.mcap.damaged
 == what cannot be recovered is a failure, and among others a part [empty.mcap.part cut.mcap.part]
 1$ recover empty.mcap.part none => nothing in it can be read | No such file
 3$ recover empty.mcap.part cut.mcap.part
 == of a directory what is not finished is recovered, and nothing else [logs/cut.mcap.part logs/whole.mcap]
 $ recover logs => = "logs/cut.mcap: recovered, 12 messages\n"
-$ recover logs => holds no log that is not finished | #0
+$ recover logs => holds no unfinished log | #0
 == a part of no topic is refused, and nothing is written [gears.mcap few.mcap]
-2$ cut gears.mcap --topic nothing -o out.mcap => no topic is of these patterns | never cut off
-2$ cut few.mcap --topic nothing -o out.mcap => no topic is of these patterns | cut off
+2$ cut gears.mcap --topic nothing -o out.mcap => no topic matches these patterns | never cut off
+2$ cut few.mcap --topic nothing -o out.mcap => no topic matches these patterns | cut off
 1$ info out.mcap => No such file
 == a part is of a time and of topics, as people write them [minute.mcap]
 $ cut minute.mcap --from 10 --to -9.5 --topic '*/gear' -o out.mcap --json => {"messages": 40, "channels": 1}
@@ -292,7 +292,7 @@ $ query --tables --json SOURCE => {"name": "can_rx"} | {"name": "raw_sample"}
 == of a dataset the statement says the time, and it is asked alone [drive.mcap]
 $ export -o out drive.mcap
 2$ query --from 1 'SELECT 1' out => WHERE log_time
-2$ query 'SELECT 1' drive.mcap out => a dataset is asked alone
+2$ query 'SELECT 1' drive.mcap out => give one dataset alone
 == a damaged log is a partial answer [drive-cut.mcap drive-stub.mcap]
 3$ query 'SELECT count(*) AS n FROM chassis_gear' drive-cut.mcap => 200 | byte
 2$ query 'SELECT * FROM odometry_of_others' drive-stub.mcap => does not exist | the file is cut off
@@ -320,7 +320,7 @@ $ find logs logs --robot=cruiser-2
 $ find logs logs --json => {"names": ["cruiser-1"]} | {"names": ["cruiser-2"]} | #2 | never "moments"
 $ find drives logs --json => #4
 == nothing is said to be nothing; for programs there is no line [logs/a.mcap logs/cruiser-2-b.mcap]
-$ find stops logs --reason=deadman => = "nothing of that is in the logs\n"
+$ find stops logs --reason=deadman => = "nothing found\n"
 $ find stops logs --reason=deadman --json => = ""
 == a log that cannot be read is named, and costs no other [logs/a.mcap logs/cruiser-2-b.mcap logs/zero.mcap]
 3$ find stops logs --json => zero.mcap is empty | #4
@@ -337,10 +337,10 @@ $ find stops logs --json => #4 | never rebuilt
 == a catalog is kept elsewhere when told to, that of one directory [logs/a.mcap logs/cruiser-2-b.mcap]
 $ find stops logs --catalog elsewhere.parquet --json
     #4 | only elsewhere.parquet logs logs/a.mcap logs/cruiser-2-b.mcap
-2$ find stops logs . --catalog elsewhere.parquet => one directory
+2$ find stops logs . --catalog elsewhere.parquet => one local directory
 == a damaged log is answered as far as it goes each time, and marked [logs/drive-cut.mcap logs/a.mcap]
-3$ find stops logs --json => 1 of 2 logs are damaged, or not whole: 'find logs' marks them
-3$ find stops logs --json => 1 of 2 logs are damaged, or not whole: 'find logs' marks them
+3$ find stops logs --json => 1 of 2 logs are damaged or unfinished: 'find logs' marks them
+3$ find stops logs --json => 1 of 2 logs are damaged or unfinished: 'find logs' marks them
 3$ find logs logs --json
     {"file": "logs/drive-cut.mcap", "faults": 1} | {"file": "logs/a.mcap", "faults": 0} | cut off
 == a directory without logs is an error
@@ -400,7 +400,7 @@ $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 2$ find stops --since yesterday logs => 'yesterday' is no time: give one as 30d
 2$ find stops --since 30 logs => '30' is no time
 2$ find stops --newest 0 logs => '0' is no number of answers
-2$ find stops --since 1d --until 2d logs => there is no time between --since and --until
+2$ find stops --since 1d --until 2d logs => --since must be before --until
 2$ find stops --robot cruiser-9 logs => the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2
 """
 """A name, in brackets the logs that are there, and commands with what they say, behind ``=>`` or below.

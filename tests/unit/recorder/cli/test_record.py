@@ -131,11 +131,11 @@ def test_that_a_file_is_not_whole_is_no_success(
     keys = {"fleet/cruiser-1/key": KeyReport(received=1, written=1)}
     recorded = Recorded("a.mcap", 1, 1, 0, 0, 0, 0, 0, 0, 100, 1, 0, keys, unfinished=unfinished)
     assert record._report(recorded, as_json=False) == code
-    assert ("1 files are not whole" in capsys.readouterr().err) == bool(unfinished)
+    assert ("1 files not finished" in capsys.readouterr().err) == bool(unfinished)
 
 
 def test_why_there_is_no_log_is_said() -> None:
-    said = {0: "no sample came", 5: "the disk took no log; 5 messages are lost"}
+    said = {0: "no sample received", 5: "no log could be written; 5 messages are lost"}
     for received, code in ((0, ExitCode.UNREACHABLE), (5, ExitCode.FAILURE)):
         keys = {"fleet/cruiser-1/key": KeyReport(received=received, lost_full=received)}
         recorded = Recorded(None, 0, 0, received, 0, 0, 0, received, 0, 0, 0, 0, keys)

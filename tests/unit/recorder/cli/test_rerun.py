@@ -47,7 +47,7 @@ RECORDED = "recorded: 4.03 m in 5.10 s, at most 1.00 m/s, 1 stops"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ((), ("cruiser-1, run ", "the same, byte for byte", "different: 0")),
+        ((), ("cruiser-1, run ", "equal byte for byte", "different: 0")),
         (
             ("--set", "command.speed_limit_mps=0.4"),
             (

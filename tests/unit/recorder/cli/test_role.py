@@ -57,7 +57,7 @@ def test_each_role_does_what_routers_let_it(network: Network) -> None:
 def test_an_operator_records_single_subjects_alone(network: Network) -> None:
     """With '**' the router would silently deliver nothing."""
     operator = settings(network, TransportRole.OPERATOR)
-    with pytest.raises(CommandError, match="'cruiser provision recorder NAME' makes the keys of one, or -k names"):
+    with pytest.raises(CommandError, match="by 'cruiser provision recorder NAME', or name"):
         check_recording(operator, ALL)
     check_recording(operator, ["fleet/*/state"])
     check_recording(settings(network, TransportRole.RECORDER), ALL)

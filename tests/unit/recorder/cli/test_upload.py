@@ -73,9 +73,9 @@ def test_a_store_that_cannot_be_written_is_not_there(tmp_path: Path, capsys: pyt
 @pytest.mark.parametrize(
     ("upload", "fault"),
     [
-        ({"store": ""}, "no store is named"),
-        ({"store": "nonsense"}, "a store is one of"),
-        ({"store": "memory:///"}, "a store is one of"),
+        ({"store": ""}, "no store given"),
+        ({"store": "nonsense"}, "unknown kind of store"),
+        ({"store": "memory:///"}, "unknown kind of store"),
         ({"store": "s3://logs", "options": {"colour": "red"}}, "cannot use the store"),
     ],
 )

@@ -143,14 +143,14 @@ def setting(**values: object) -> Callable[[records.McapRecord], None]:
 
 
 def held(said: int, found: int, name: str) -> str:
-    return f"the file says that it holds {said} {name}; {found} were found"
+    return f"the file states {said} {name}; {found} were found"
 
 
 OF_CHUNK = "the summary's index of a chunk is wrong"
-TIMES = "a chunk's times are not those of its messages"
+TIMES = "a chunk states wrong times"
 BEHIND = "the message indexes behind a chunk are wrong"
 PACKED = "a chunk cannot be read: its compression 'zstx' is not supported"
-WHOLE = "the file's first and last time are not those of its messages"
+WHOLE = "the file states wrong first and last times"
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ WHOLE = "the file's first and last time are not those of its messages"
         (records.ChunkIndex, setting(uncompressed_size=0), OF_CHUNK),
         (records.ChunkIndex, setting(compression="zstx"), OF_CHUNK),
         (records.ChunkIndex, setting(message_index_offsets={1: 8}), OF_CHUNK),
-        (records.ChunkIndex, setting(chunk_start_offset=8), "the summary's index names a chunk that is not there"),
+        (records.ChunkIndex, setting(chunk_start_offset=8), "the summary's index has a chunk that does not exist"),
         (records.AttachmentIndex, setting(offset=8), "the summary's index of the attachment n is wrong"),
         (records.AttachmentIndex, setting(data_size=4), "the summary's index of the attachment n is wrong"),
         (records.MetadataIndex, setting(name="x"), "the summary's index of the metadata x is wrong"),
@@ -251,7 +251,7 @@ def test_messages_that_are_not_what_their_schema_says_are_found() -> None:
     ]
     found = check(own_log([[gear_message(0, 10), *broken, gear_message(5, 60)]]))
     # No bytes at all are a message of defaults.
-    assert (found.channels[0].unreadable, said(found)) == (3, ["messages are not what their schema says"])
+    assert (found.channels[0].unreadable, said(found)) == (3, ["messages do not match their schema"])
     assert found.findings[0].topic == GEAR_TOPIC
     for place in (0, 9, len(good) - 2, len(good) - 1):
         wrong = good[:place] + b"\xff" + good[place + 1 :]
@@ -264,7 +264,7 @@ def test_an_older_versions_schema_is_told_and_its_messages_are_read_by_it() -> N
     descriptors = descriptor_set(Gear).replace(b"alive_counter", b"alive_numberx")
     changed = LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptors)
     found = check(own_log([gears(0, 3, 10)], [changed]))
-    assert said(found) == ["the schema cruiser.Gear is not the one that this version writes"]
+    assert said(found) == ["the schema cruiser.Gear differs from this version's"]
     assert found.channels[0].unreadable == 0
     assert "the schema cruiser.Gear cannot be read" in said(check(own_log([gears(0, 3, 10)], [other])))
 
@@ -280,7 +280,7 @@ def test_files_of_others_are_sound(compression: CompressionType, use_chunking: b
 @pytest.mark.parametrize(
     ("given", "what"),
     [
-        ({"data": b"{"}, ["messages are not what their schema says"]),
+        ({"data": b"{"}, ["messages do not match their schema"]),
         ({"schema": ("t", "jsonschema", b"{")}, ["the schema t is no JSON"]),
         ({"schema": None}, ["the channel has no schema"]),
         (
@@ -293,7 +293,7 @@ def test_files_of_others_are_sound(compression: CompressionType, use_chunking: b
                 "schema": ("cruiser.Gear", "protobuf", descriptor_set(Gear)),
                 "data": b"\xff",
             },
-            ["messages are not what their schema says"],
+            ["messages do not match their schema"],
         ),
     ],
 )
@@ -343,7 +343,7 @@ def test_the_time_without_a_gateway_is_no_loss_on_the_way(away_ms: int, *, is_on
     assert (frame.frames, frame.lost, frame.outages, frame.unseen) == (58, 2, 0, 0)
     about_frames = [(one.what, one.count) for one in found.findings if one.topic.endswith("rx")]
     assert about_frames == [
-        ("times without a gateway, whose frames nobody received: another one began then", 1),
+        ("restarts of the gateway: the frames between were not received", 1),
         ("Auto_GearFeedBack: frames lost, by the alive counter", 2),
     ]
 
@@ -357,7 +357,7 @@ def test_two_gateways_under_one_name_are_told_and_no_loss_is_made_up() -> None:
     found = check(log.close())
     assert (found.missed, found.frames_lost) == (0, 0)
     assert {one.what for one in found.findings} == {
-        "two gateways speak under one name: what either lost is not known"
+        "two gateways publish under one name: their losses are unknown"
     }
     assert not found.is_sound
 
@@ -370,7 +370,7 @@ def test_what_the_recorder_could_not_write_is_about_the_data() -> None:
         log.add_own("fleet/@recorder/bench/gap", gap, 0)
     [found] = check(log.close()).findings
     assert (found.about, found.topic, found.count, found.time_ns) == (About.DATA, "fleet/x", 7, WALL_NS + SECOND)
-    assert found.what == "not in the log, as its recorder says (queue)"
+    assert found.what == "lost by the recorder (queue)"
 
 
 def test_every_flipped_byte_is_found() -> None:

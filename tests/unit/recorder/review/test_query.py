@@ -12,7 +12,7 @@ from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import Selection
 from recorder.review.export import ExportRange, export_dataset, objects, read_manifest
-from recorder.review.query import DatasetSource, LogSource, Source, answer, told
+from recorder.review.query import DatasetSource, LogSource, Source, answer, one_line_errors
 from schemas.command_line import CommandError, ExitCode
 from tests.support.commands import review
 from tests.support.drives import FRAMES, drive_log
@@ -51,7 +51,7 @@ def source(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def ask(source: Source, sql: str) -> list[dict[str, Any]]:
-    with answer(source, sql) as rows, told():
+    with answer(source, sql) as rows, one_line_errors():
         return [] if rows is None else [row for batch in rows for row in objects(batch)]
 
 

@@ -141,7 +141,7 @@ def test_a_journal_that_is_longer_than_any_gateway_says_is_a_fault(monkeypatch: 
     monkeypatch.setattr(module, "JOURNAL_BYTES", 1)
     faults = Faults()
     assert not list(played([(7, 0)], faults))
-    assert "which no gateway says" in faults.told[0]
+    assert "is too long" in faults.told[0]
 
 
 # Both sides: given what was recorded and what comes out again, what is compared.
@@ -393,5 +393,5 @@ def test_a_journal_that_makes_no_sense_ends_its_part(tmp_path: Path, inputs: byt
     log.receive(sample_of(info()), said_journal(1, inputs, WALL_NS), said_journal(2, SHUT_DOWN, WALL_NS + SECOND))
     (tmp_path / "log.mcap").write_bytes(log.close())
     results, faults = run_again(tmp_path / "log.mcap")
-    assert [(one.run, "cannot be run again" in one.detail) for one in results] == [(1, True), (2, False)]
+    assert [(one.run, "cannot be rerun" in one.detail) for one in results] == [(1, True), (2, False)]
     assert faults.count == 1

@@ -55,7 +55,7 @@ def test_a_task_is_done_and_begun_anew_where_that_may_help() -> None:
 def test_a_task_that_is_lost_is_one_clear_error() -> None:
     ray = FakeRay()
     ray.loses = True
-    with pytest.raises(CommandError, match="has lost a task: the node is gone"):
+    with pytest.raises(CommandError, match="lost a task: the node is gone"):
         RayCluster(ray).submit(divmod, 7, 2).result()
 
 

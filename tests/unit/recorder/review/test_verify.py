@@ -375,7 +375,7 @@ FORGED = Fleet()
 @pytest.mark.parametrize(
     ("samples", "trusts", "fault", "words", "is_vouched"),
     [
-        # What was before the rotation cannot be told, and is no forgery: once, with what to give.
+        # What was before the rotation stays unproven, and is no forgery: once, with what to give.
         (DRIVEN, [ROTATED.next], UNPROVEN, ("own grant", "--authority", *BOTH), True),
         (
             DRIVEN[: ROTATED.place + 2],
@@ -385,7 +385,7 @@ FORGED = Fleet()
             True,
         ),
         # The log names both authorities, and nobody can check the rotation.
-        (DRIVEN, [], UNPROVEN, ("who the standby is",), False),
+        (DRIVEN, [], UNPROVEN, ("does not name the standby",), False),
         # That it was tampered with, nothing says; and it does not hold under the authority that was given.
         (ROTATED.before, [ROTATED.next], OTHERS, BOTH, False),
         # A whole run of somebody else's making holds in itself.
@@ -556,7 +556,7 @@ BY_BOTH = (
 )
 COMMANDS: dict[str, tuple[bytes, bytes | None, Fleet | None, int, tuple[str, ...], dict[str, Any]]] = {
     "all holds": (WHOLE, WHOLE, FLEET, 0, (": all holds", "ann held lease 77"), {"is_vouched": True}),
-    "nobody vouches": (WHOLE, WHOLE, None, 0, (": all holds", "nobody vouches"), {"is_vouched": False}),
+    "by the log": (WHOLE, WHOLE, None, 0, (": all holds", "not verified (--authority)"), {"is_vouched": False}),
     "other authority": (WHOLE, WHOLE, OTHER, 3, (": UNDER ANOTHER AUTHORITY", *BY_BOTH), {"is_vouched": False}),
     "cut off": (cut := LONG[: len(LONG) * 4 // 5], cut, FLEET, 3, ("NOT ALL COULD BE READ",), {"unread": 1}),
     "changed": (OF_BOB, WHOLE, FLEET, 1, (": NOT AS IT WAS SIGNED", "NOT AS SIGNED by an unknown"), {"unread": 0}),

@@ -445,14 +445,6 @@ def test_a_store_that_is_gone_is_not_asked_for_each_log(tmp_path: Path, store: F
     assert safe(tmp_path) == set(names[1:])
 
 
-def test_nothing_is_begun_outside_of_the_hours(tmp_path: Path, store: FakeLogStore) -> None:
-    saved(tmp_path / LOG, log_of())
-    with UploadNote(tmp_path) as note:
-        one = uploader_of(tmp_path, store, note)
-        assert asyncio.run(one.upload_all(lambda: False))
-    assert (store.calls, one.totals.waiting) == ([], [LOG])
-
-
 @pytest.fixture
 def _quick_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(finished, "DISK_BYTES_PER_S", 0)

@@ -123,5 +123,5 @@ def test_a_store_that_goes_away_ends_the_search_in_a_line(store: FakeObjects, st
 
 
 def test_a_server_that_lists_nothing_cannot_be_searched(store: FakeObjects) -> None:
-    with pytest.raises(CommandError, match="does not list what it holds"):
+    with pytest.raises(CommandError, match="has no list of its logs"):
         PlaceCatalog(store, StoreAddress("https://logs.example.com/plant-1"), COLUMNS, CACHES[0])
