@@ -88,9 +88,7 @@ SAFETY_HISTORY: Final = 1000
 queue; older ones are available by query, see ``KEPT_FIRST``."""
 
 SAFETY_KEPT_BYTES: Final = 2_000_000  # some 5,000 decisions
-JOURNAL_KEPT_BYTES: Final = (
-    16_000_000  # the last ten minutes at a bus's nominal load, the last minute at full load
-)
+JOURNAL_KEPT_BYTES: Final = 16_000_000  # ten minutes at a bus's nominal load, one minute at full load
 AUTHORITY_KEPT_BYTES: Final = 1_000_000  # statements of an hour, including those in use
 
 KEPT_FIRST: Final = "first"

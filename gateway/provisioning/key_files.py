@@ -516,7 +516,7 @@ def _read(path: Path, cure: str) -> list[Certificate]:
     try:
         return read_certificates(read_input(path, cure).decode(errors="replace"))
     except EnrolmentError as error:
-        raise UsageError(f"{plain(str(path))}: {error}; {cure}") from error
+        raise UsageError(f"{plain(str(path))}: {error}{cure and f'; {cure}'}") from error
 
 
 def _check_end(path: Path, left_s: float, cure: str) -> None:

@@ -644,10 +644,13 @@ def test_each_kind_has_its_turn() -> None:
     known = chain_text(sieve.fleet.operator().chain).encode()
     assert sieve.bench.show(known.decode()).ok
     new = chain_text(sieve.fleet.operator("bob").chain).encode()
-    chosen = sieve.tick(*[b"x"] * FLOOD, known, new, b"")
-    for _ in range(3):
-        chosen += sieve.tick(*[b"x"] * FLOOD)
-    assert sorted(chosen) == sorted([b"x", known, new, b""])
+    kinds = [b"x", known, new, b""]
+    for flood in (known, b"x"):
+        chosen = sieve.tick(*[flood] * FLOOD, *kinds)
+        for _ in range(3):
+            chosen += sieve.tick(*[flood] * FLOOD)
+        assert sorted(chosen) == sorted(kinds)
+        sieve.sieve._waiting = {kind: [] for kind in StatementKind}
 
 
 def test_what_is_not_chosen_waits_for_the_next_tick() -> None:
