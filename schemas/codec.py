@@ -91,7 +91,7 @@ def count_fields(payload: bytes) -> int:
     return int.from_bytes(payload[1:3], "big") if first == _MAP_16 else 0
 
 
-def enumeration_in(annotation: Any) -> tuple[type[Enum], bool] | None:  # noqa: ANN401 - whatever a field is annotated with
+def enumeration_in(annotation: Any) -> tuple[type[Enum], bool] | None:  # noqa: ANN401 - of any field
     """The enumeration of a field, and True if the field is a list of it; None for other types."""
     is_list = get_origin(annotation) is list
     kind = get_args(annotation)[0] if is_list else annotation

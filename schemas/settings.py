@@ -245,9 +245,7 @@ RECONNECT_MAX_S: Final = 2.0
 ENGAGE_TIMEOUT_NS: Final = 1_000_000_000  # engaging fails if the chassis does not read auto by then
 HOLD_NS: Final = 1_000_000_000  # a stop holds the robot with the parking brake for this long after its last motion
 DISABLE_NS: Final = 500_000_000  # after the hold a stop sends disabled frames for 0.5 s, then nothing
-REST_TIMEOUT_NS: Final = (
-    10_000_000_000  # longest wait for rest of a gateway that shuts down; a stop takes up to 7 s
-)
+REST_TIMEOUT_NS: Final = 10_000_000_000  # longest wait for rest at shutdown; a stop takes up to 7 s
 NOT_SLOWING_NS: Final = 300_000_000  # a robot being stopped that does not slow down for this long is parked
 SLOWING_MPS: Final = 0.02  # a robot slows down if its speed fell by this much
 BRAKE_UNSEEN_NS: Final = 3_000_000_000  # a stop without parking feedback waits this long before it continues
@@ -257,9 +255,7 @@ AUTO_HOLD_NS: Final = 1_000_000_000  # an engaged robot that stands this long at
 WARN_AGAIN_NS: Final = 5_000_000_000  # after standing this long, a robot warns again before it sets off
 BLINK_NS: Final = 350_000_000  # time that warning indicators are on, and then off
 SLIPS_NS: Final = 2_000_000_000  # motion this soon after the auto-hold: the motor held it, not the parking brake
-MOTOR_HOLDS_NS: Final = (
-    300_000_000  # returned to its motor, the robot must be no faster by then, or is parked for good
-)
+MOTOR_HOLDS_NS: Final = 300_000_000  # held by its motor, it must be no faster by then, or is parked for good
 BRAKE_RETURNS: Final = 2  # after this many motions during disabled frames a stop does not disable any more
 RETURN_NS: Final = 10_000_000_000  # motion this soon after the end of a stop counts as one of these
 BRAKED_NS: Final = 5_000_000_000  # a stop that does not disable can be reset after standing braked for this long
@@ -287,9 +283,7 @@ FROZEN_STANDING_KM: Final = 0.002  # change of the mileage that counts: 2 m
 FROZEN_STILL_NS: Final = 200_000_000  # time for which one of these holds: wheel speeds come every 50 ms
 FOLLOWING_MPS: Final = 0.5  # the commanded speed rises only while it is at most this much above the measured one
 FOLLOWING_S: Final = 0.6  # or above the speed that the acceleration gives in this time, if that is more
-RUNAWAY_RISE_MPS: Final = (
-    0.08  # a robot ``OVERSPEED_MPS`` over its command and faster by this (two bits) runs away
-)
+RUNAWAY_RISE_MPS: Final = 0.08  # ``OVERSPEED_MPS`` over its command and faster by this (two bits), it runs away
 RUNAWAY_WINDOW_NS: Final = 200_000_000  # time in which it became faster
 RUNAWAY_NS: Final = 100_000_000  # time for which it must run away
 STEERING_DEVIATION_DEG: Final = 5.0  # an angle further from the commanded one does not follow
@@ -301,16 +295,12 @@ BUMPER_CLEAR_NS: Final = 300_000_000  # a bumper is released once it has read cl
 PULSES_MOVING_FRAMES: Final = 16  # wheel pulses in one direction in this many frames, 800 ms, show motion
 PULSES_STEADY: Final = 0.9  # share of the first half of these pulses that the second half must reach
 PULSES_REST_S: Final = 0.55  # time to come to rest before pulses show rolling: half of them, and three frames
-CREEP_PULSES: Final = (
-    40  # wheel pulses in one direction, a few in each frame without long gaps, that show creeping
-)
+CREEP_PULSES: Final = 40  # wheel pulses in one direction, a few in each frame, that show creeping
 CREEP_FRAME_PULSES: Final = 2  # with more pulses in a period it does not creep: it drives, or comes to rest
 CREEP_PAUSE_FRAMES: Final = 10  # after this many periods, 500 ms, without a wheel pulse the robot stands
 CREEP_REST_NS: Final = 2_000_000_000  # time to come to rest before a few wheel pulses show creeping
 SEND_FAILURES: Final = 5  # this many ticks in a row whose frames the bus did not accept are a failure
-LEFT_BLIND_NS: Final = (
-    200_000_000  # left under command or owed a stop, it is stopped after this without body frames
-)
+LEFT_BLIND_NS: Final = 200_000_000  # without body frames, a robot left under command is stopped after this
 YIELD_BURSTS: Final = 10  # bursts of zero speed and parking brake when the remote control takes a robot
 BEHIND_NS: Final = 200_000_000  # after this long without an empty buffer, frames come faster than they are read
 FOUND_MOVING_NS: Final = 200_000_000  # an idle robot in auto that moves for this long is stopped
