@@ -24,15 +24,7 @@ from typing import Final, Protocol
 
 import msgspec
 
-from gateway.chassis.frame import (
-    ERROR,
-    EXTENDED,
-    FD,
-    IDENTIFIER_MASK,
-    REMOTE,
-    Frame,
-    hex_identifier,
-)
+from gateway.chassis.frame import ERROR, EXTENDED, FD, IDENTIFIER_MASK, REMOTE, Frame, hex_identifier
 
 CONNECT_TIMEOUT_S: Final = 1.0
 HANDSHAKE_TIMEOUT_S: Final = 5.0  # for each answer

@@ -505,12 +505,7 @@ CHECKS: Final = (
         "check the chassis; chassis.required_feedback lists the required frames",
         _feedback_missing,
     ),
-    Check(
-        "feedback_faulty",
-        "frames from the chassis are damaged",
-        _CABLE,
-        _feedback_faulty,
-    ),
+    Check("feedback_faulty", "frames from the chassis are damaged", _CABLE, _feedback_faulty),
     Check(
         "variant_unknown",
         "the firmware variant, and with it the scale of speeds, is not known",
@@ -530,10 +525,7 @@ CHECKS: Final = (
         lambda facts: _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}"),
     ),
     Check(
-        "two_of_one_name",
-        "more than one gateway has the robot's name",
-        "rename one: robot.name",
-        _two_of_one_name,
+        "two_of_one_name", "more than one gateway has the robot's name", "rename one: robot.name", _two_of_one_name
     ),
     Check(
         "queue_long",
@@ -578,12 +570,7 @@ CHECKS: Final = (
         lambda facts: _found(facts.was_shut_down is False, f"before {_utc(facts.booted_s)}"),
         is_note=True,
     ),
-    Check(
-        "service_not_active",
-        "a service is not running",
-        "journalctl -u cruiser-gateway",
-        _service_failed,
-    ),
+    Check("service_not_active", "a service is not running", "journalctl -u cruiser-gateway", _service_failed),
     Check(
         "service_restarted",
         "systemd restarted a service",
@@ -677,12 +664,7 @@ CHECKS: Final = (
             facts.disk is not None and facts.disk.is_read_only, facts.disk.directory if facts.disk else ""
         ),
     ),
-    Check(
-        "disk_full",
-        "the disk is full",
-        "move logs off the disk, or lower recorder.budget_bytes",
-        _disk_full,
-    ),
+    Check("disk_full", "the disk is full", "move logs off the disk, or lower recorder.budget_bytes", _disk_full),
     Check(
         "recorder_missing",
         "no recorder is running",
@@ -695,19 +677,7 @@ CHECKS: Final = (
         "set recorder.standby to false",
         _recorder_stopped,
     ),
-    Check(
-        "versions",
-        "versions differ",
-        "update the older ones while the robot stands",
-        _versions,
-        is_note=True,
-    ),
-    Check(
-        "losses",
-        "data was lost",
-        "see the alert of the same name in docs/operate.md",
-        _losses,
-        is_note=True,
-    ),
+    Check("versions", "versions differ", "update the older ones while the robot stands", _versions, is_note=True),
+    Check("losses", "data was lost", "see the alert of the same name in docs/operate.md", _losses, is_note=True),
 )
 """All checks, likely causes first."""

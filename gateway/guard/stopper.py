@@ -303,11 +303,7 @@ class Stopper:
         if slowest_mps is not None:
             first = replace(first, speed_mps=_lower(first.speed_mps, slowest_mps))
         self._sequence = StopSequence(
-            self._possible(first),
-            self._deceleration_mps2,
-            now_ns,
-            self._returns,
-            may_release=self._may_release,
+            self._possible(first), self._deceleration_mps2, now_ns, self._returns, may_release=self._may_release
         )
         if self._is_released and not first.parking:
             self._sequence.release(now_ns)

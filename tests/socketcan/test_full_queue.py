@@ -61,11 +61,7 @@ def test_a_tick_waits_for_the_bus_and_no_more() -> None:
 
 @pytest.mark.parametrize(
     ("letter", "errors", "state"),
-    [
-        ("w", 96, ControllerState.WARNING),
-        ("p", 128, ControllerState.PASSIVE),
-        ("b", 255, ControllerState.BUS_OFF),
-    ],
+    [("w", 96, ControllerState.WARNING), ("p", 128, ControllerState.PASSIVE), ("b", 255, ControllerState.BUS_OFF)],
 )
 def test_a_drivers_own_error_frames_tell_its_state(letter: str, errors: int, state: ControllerState) -> None:
     with SerialAdapter() as adapter, opened(adapter) as bus:

@@ -13,13 +13,7 @@ from contextlib import closing, contextmanager, suppress
 
 import pytest
 
-from gateway.can.can_bus import (
-    SEND_TIMEOUT_US,
-    SEND_WAITING_MAX_BYTES,
-    Bus,
-    BusLost,
-    CanBus,
-)
+from gateway.can.can_bus import SEND_TIMEOUT_US, SEND_WAITING_MAX_BYTES, Bus, BusLost, CanBus
 from gateway.can.open_bus import BusClaim, ReconnectingBus, count_claims, open_bus
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.settings import CanSettings

@@ -7,11 +7,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from gateway.can.socketcand_server import (
-    JOIN_NS,
-    MAX_CLIENTS,
-    SocketcandServer,
-)
+from gateway.can.socketcand_server import JOIN_NS, MAX_CLIENTS, SocketcandServer
 from gateway.chassis.frame import EXTENDED, Frame
 from tests.support.processes.simulator import DEADLINE_S, Served, receive, served
 

@@ -185,11 +185,7 @@ def test_nobody_deletes_anything(secured: Secured) -> None:
 
 def test_whose_queries_reach_the_robot(secured: Secured) -> None:
     arrivals, answered = Arrivals(), set()
-    own = {
-        **{f"{R}/{name}": f"{R}/{name}" for name in KEPT},
-        f"{R}/@cmd/*/*": STOP,
-        f"{R}/@auth": f"{R}/@auth",
-    }
+    own = {**{f"{R}/{name}": f"{R}/{name}" for name in KEPT}, f"{R}/@cmd/*/*": STOP, f"{R}/@auth": f"{R}/@auth"}
     declared: list[Any] = [
         secured.robot.declare_queryable(key, arrivals.answering(reply), complete=True)
         for key, reply in own.items()

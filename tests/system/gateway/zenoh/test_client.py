@@ -103,9 +103,7 @@ def test_a_flood_of_replies_holds_nothing_up(monkeypatch: pytest.MonkeyPatch, pa
     with answerer.declare_queryable("flood", zenoh.handlers.Callback(flood, indirect=False), complete=True):
         first, second = PendingQuery(), PendingQuery()
         querier: Any = asker.declare_querier(
-            "flood",
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            consolidation=zenoh.ConsolidationMode.NONE,
+            "flood", congestion_control=zenoh.CongestionControl.BLOCK, consolidation=zenoh.ConsolidationMode.NONE
         )
         wait_until(lambda: bool(querier.matching_status.matching))
         for question in (first, second):

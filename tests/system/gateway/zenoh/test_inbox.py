@@ -13,13 +13,7 @@ import zenoh
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
 from gateway.zenoh import inbox as zenoh_inbox
-from gateway.zenoh.inbox import (
-    DRIVES_WAITING,
-    STOPS_WAITING,
-    VERBS_WAITING,
-    CommandInbox,
-    open_inbox,
-)
+from gateway.zenoh.inbox import DRIVES_WAITING, STOPS_WAITING, VERBS_WAITING, CommandInbox, open_inbox
 from gateway.zenoh.node import ZenohPlace, open_node
 from schemas.command_line import CommandError
 from schemas.settings import (

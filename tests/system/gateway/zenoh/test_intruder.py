@@ -31,18 +31,8 @@ RECEIVES: Final = rf"a subscription to ({STATE}|fleet/\*\*) receives"
 HOLES: Final = {
     "put": (["ingress"], ["put"], [COMMANDS], r"a put on fleet/cruiser-1/@cmd/nobody-\w+/drive arrives"),
     "query": (["ingress"], ["query"], [COMMANDS], r"a query on fleet/cruiser-1/@cmd/nobody-\w+/acquire arrives"),
-    "see": (
-        ["ingress", "egress"],
-        ["declare_subscriber", "put"],
-        [STATE],
-        RECEIVES,
-    ),
-    "spy": (
-        ["ingress", "egress"],
-        ["declare_subscriber", "put"],
-        ["fleet/**"],
-        RECEIVES,
-    ),
+    "see": (["ingress", "egress"], ["declare_subscriber", "put"], [STATE], RECEIVES),
+    "spy": (["ingress", "egress"], ["declare_subscriber", "put"], ["fleet/**"], RECEIVES),
     "answer": (
         ["ingress", "egress"],
         ["declare_queryable", "query", "reply"],

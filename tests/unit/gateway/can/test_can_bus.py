@@ -12,13 +12,7 @@ import can
 import pytest
 from hypothesis import given
 
-from gateway.can.can_bus import (
-    GARBLED_MAX,
-    BusFull,
-    BusLost,
-    CanBus,
-    SocketCanBus,
-)
+from gateway.can.can_bus import GARBLED_MAX, BusFull, BusLost, CanBus, SocketCanBus
 from gateway.can.python_can import PythonCan, to_frame, to_message
 from gateway.chassis.frame import BITRATE_SWITCH, ERROR, ERROR_STATE_INDICATOR, EXTENDED, FD, REMOTE, Frame
 from tests.support.strategies import frames

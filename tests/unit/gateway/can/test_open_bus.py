@@ -9,10 +9,7 @@ from pathlib import Path
 import can
 import pytest
 
-from gateway.can.can_bus import (
-    BusFull,
-    BusLost,
-)
+from gateway.can.can_bus import BusFull, BusLost
 from gateway.can.open_bus import ReconnectingBus, open_bus
 from gateway.chassis.frame import EXTENDED, Frame
 from schemas.command_line import CommandError, ExitCode

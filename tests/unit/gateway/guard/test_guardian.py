@@ -493,9 +493,7 @@ ACTUATIONS = st.builds(
     st.sampled_from(["known", "unknown"]),
     st.integers(0, 15),
     st.builds(
-        CommandSettings,
-        deceleration_mps2=st.floats(0.3, 2.0),
-        emergency_deceleration_mps2=st.floats(0.5, 3.0),
+        CommandSettings, deceleration_mps2=st.floats(0.3, 2.0), emergency_deceleration_mps2=st.floats(0.5, 3.0)
     ),
 )
 def test_whatever_the_heartbeat_says_the_stop_passes_the_gate(

@@ -69,10 +69,7 @@ def test_a_damaged_note_is_a_latch_that_says_so(
 
 @pytest.mark.parametrize(
     ("call", "number", "left"),
-    [
-        ("fsync", errno.EIO, "guard: the gateway is gone"),
-        ("write", errno.ENOSPC, "is empty: the disk was full"),
-    ],
+    [("fsync", errno.EIO, "guard: the gateway is gone"), ("write", errno.ENOSPC, "is empty: the disk was full")],
 )
 def test_a_disk_that_fails_leaves_a_note_all_the_same(
     note: StopNote, monkeypatch: pytest.MonkeyPatch, call: str, number: int, left: str

@@ -32,10 +32,13 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ProvisionedFleet:
     return found
 
 
+def signed_mode(settings: Settings) -> SignedMode:
+    return SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
+
+
 def started(fleet: ProvisionedFleet, name: str = "cruiser-1") -> str:
     """The robot's own grant after a start."""
-    settings = settings_of(fleet, name)
-    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
+    signed = signed_mode(settings_of(fleet, name))
     signed.close()
     return chain_text(signed.authority._own)
 
@@ -72,9 +75,8 @@ def test_of_a_grant_that_was_shown_and_one_that_was_installed_the_longer_one_hol
 
 def test_a_grant_that_is_shown_before_the_first_tick_is_judged_by_the_present(fleet: ProvisionedFleet) -> None:
     """As after a restart: the time must not be 1970."""
-    settings = settings_of(fleet)
     text = (fleet.place / "cruiser-1" / "robot.grant").read_bytes().strip()
-    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
+    signed = signed_mode(settings_of(fleet))
     reply = signed.authority.receive(RawRequest(1, "", "", text, len(text)), 0)
     signed.close()
     said = msgspec.msgpack.decode(reply.payload, type=StatementReply)
@@ -96,7 +98,7 @@ def test_a_robot_that_cannot_save_what_is_revoked_does_not_arm(fleet: Provisione
     place = tmp_path / "state"
     settings = settings_of(fleet)
     settings = msgspec.structs.replace(settings, gateway=GatewaySettings(state_dir=str(place / "below")))
-    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
+    signed = signed_mode(settings)
     place.write_text("a file where the directory should be")
     authority = signed.authority
     bars: dict[Reason, str] = {}
@@ -120,7 +122,7 @@ def test_another_robots_keys_start_nothing(fleet: ProvisionedFleet) -> None:
 def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: ProvisionedFleet) -> None:
     place = fleet.place / "cruiser-1"
     settings = msgspec.structs.replace(settings_of(fleet), zenoh=ZenohSettings(config=str(place / "robot.json5")))
-    signed = SignedMode(settings, Core(CHASSIS, settings, "0", 0, secrets.randbits(53)))
+    signed = signed_mode(settings)
     signed.close()
     grants = [one.statement for one in chain(place / "robot.grant")]
     assert signed.authority.grant_ends_s == min(one.not_after for one in grants if isinstance(one, Grant))
@@ -131,49 +133,35 @@ def test_the_ends_of_the_robots_certificate_and_grant_are_known(fleet: Provision
 # Restarts after a new installation.
 
 
-class Robot:
-    def __init__(self, place: Path) -> None:
-        self.fleet = ProvisionedFleet(place)
-        self.files = self.fleet.let_in("robot", "cruiser-1")
-        self.settings = Settings(authority=AuthoritySettings(mode="signed", directory=str(self.files)))
-
-    def renew(self) -> None:
-        request = self.fleet.place / "again.request"
-        run("renew", "robot", "--directory", self.files, "-o", request)
-        run("install", self.fleet.sign(request), "--directory", self.files, "--replace")
-
-
-@pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Robot:
-    monkeypatch.chdir(tmp_path)
-    return Robot(tmp_path)
+def renew(fleet: ProvisionedFleet) -> None:
+    run("install", renewed(fleet, "30"), "--directory", fleet.place / "cruiser-1", "--replace")
 
 
 def looks(renewal: Renewal, number: int = 3) -> list[bool]:
     return [renewal.look() for _ in range(number)]
 
 
-def test_an_installation_ends_the_gateway_once_two_looks_agree(robot: Robot) -> None:
+def test_an_installation_ends_the_gateway_once_two_looks_agree(fleet: ProvisionedFleet) -> None:
     """An installation writes several files."""
-    renewal = Renewal(robot.settings, is_managed=True)
+    renewal = Renewal(settings_of(fleet), is_managed=True)
     assert looks(renewal) == [False] * 3
-    robot.renew()
+    renew(fleet)
     assert looks(renewal, 2) == [False, True]
     assert (renewal.is_taken, renewal.note) == (True, "")
 
 
-def test_a_robot_that_gets_its_first_grant_is_started_again(robot: Robot) -> None:
-    grant = robot.files / "robot.grant"
+def test_a_robot_that_gets_its_first_grant_is_started_again(fleet: ProvisionedFleet) -> None:
+    grant = fleet.place / "cruiser-1" / "robot.grant"
     text = grant.read_text()
     grant.unlink()
-    renewal = Renewal(robot.settings, is_managed=True)
+    renewal = Renewal(settings_of(fleet), is_managed=True)
     assert looks(renewal) == [False] * 3
     grant.write_text(text)
     assert looks(renewal, 2) == [False, True]
 
 
-def test_a_gateway_that_nobody_starts_again_stays_and_says_so(robot: Robot) -> None:
-    renewal = Renewal(robot.settings, is_managed=False)
-    robot.renew()
+def test_a_gateway_that_nobody_starts_again_stays_and_says_so(fleet: ProvisionedFleet) -> None:
+    renewal = Renewal(settings_of(fleet), is_managed=False)
+    renew(fleet)
     assert looks(renewal) == [False] * 3
     assert (renewal.is_taken, renewal.note) == (False, WAITS)

@@ -159,10 +159,7 @@ def test_a_field_is_its_own_signal(kind: type[Feedback], field: str, value: obje
     [
         (WheelSpeed, {"rear_left_speed_mps": None, "rear_right_speed_mps": None}),
         (WheelPulse, {"rear_left_pulses": None, "rear_right_pulses": None}),
-        (
-            Body,
-            {"mode": Mode.UNDEFINED, "total_mileage_km": None, "front_bumper": None, "rear_bumper": None},
-        ),
+        (Body, {"mode": Mode.UNDEFINED, "total_mileage_km": None, "front_bumper": None, "rear_bumper": None}),
     ],
 )
 def test_what_is_marked_invalid_is_unknown(kind: type[Feedback], unknown: dict[str, object]) -> None:
