@@ -41,6 +41,7 @@ DIRECTORIES: list[tuple[str, dict[str, bytes], str]] = [
     ("an incident that a log covers", {"a": log(100), "b.incident": log(120, 5)}, "a"),
     ("that two logs cover", {"a": log(100, 6), "b.incident": log(110, 12), "c": log(150)}, "a c"),
     ("the log begins later", {"a": log(200), "b.incident": log(110, 7)}, "b.incident a"),
+    ("the log lacks the first message", {"a": log(110, 9), "b.incident": log(100, 5)}, "b.incident a"),
     ("the log ends sooner", {"a": log(100, 3), "b.incident": log(110, 7)}, "a b.incident"),
     ("a break", {"a": log(100, 3), "b.incident": log(110, 7), "c": log(150)}, "a b.incident c"),
     ("another incident", {"a.incident": log(100, 3), "b.incident": log(110, 7)}, "a.incident b.incident"),
