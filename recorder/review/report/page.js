@@ -1,36 +1,36 @@
 "use strict";
-// Draws the charts in the colours of the page, plays the drives on them, and shows the moment of the address:
-// report.html#t=2026-01-02T03:04:05.678Z, with &robot=NAME where there are several.
+// Draws the charts in the page's colours, plays the drives, and shows the moment of the address:
+// report.html#t=2026-01-02T03:04:05.678Z, with &robot=NAME if there are several.
 (function () {
   const { drives } = JSON.parse(document.getElementById("charts").textContent);
   const dark = window.matchMedia("(prefers-color-scheme: dark)");
   const phone = window.matchMedia("(max-width: 40rem)");
   const note = document.getElementById("note");
   let drawn = 0;
-  const EAGER = 4; // more drives than these are drawn when they come near
-  const REACH_MS = 2000; // a robot that stood between two places left the first one so long before it came to the other
-  const SILENT_MS = 500; // a value that is older is not shown
-  const WRITE_MS = 500; // browsers refuse an address that changes too often
-  const OUTLINE_M = [[0.75, 0.3], [0.9, 0], [0.75, -0.3], [-0.15, -0.3], [-0.15, 0.3]]; // from the rear axle; as the desk has it
-  const OUTLINE_PX = 26; // where it would be smaller it is not to scale
+  const EAGER = 4; // further drives are drawn when they scroll near
+  const REACH_MS = 2000; // between two places further apart in time the robot stood, and left the first one this long before the second
+  const SILENT_MS = 500; // an older value is not shown
+  const WRITE_MS = 500; // browsers reject an address that changes too often
+  const OUTLINE_M = [[0.75, 0.3], [0.9, 0], [0.75, -0.3], [-0.15, -0.3], [-0.15, 0.3]]; // from the rear axle, as on the desk
+  const OUTLINE_PX = 26; // minimum size; below it the outline is not to scale
   const STEP_MS = { ArrowLeft: -1000, ArrowDown: -1000, ArrowRight: 1000, ArrowUp: 1000, PageUp: 10000, PageDown: -10000 };
-  const [LEFT, RIGHT, BOTTOM, ROW] = [58, 12, 44, 30]; // pixels around what is drawn, and the height of a band's row
+  const [LEFT, RIGHT, BOTTOM, ROW] = [58, 12, 44, 30]; // pixels around the drawing, and the height of a band's row
   const CHARTS = [{ name: "speed, m/s", unit: " m/s", digits: 2 }, { name: "angle, deg", unit: "°", digits: 1 }];
   const ZOOM_MS = 20; // the shortest time that fills the charts
-  const ZOOM_M = 0.5; // and the shortest way
+  const ZOOM_M = 0.5; // the shortest distance that fills the map
   const DRAG_PX = 4; // a shorter drag is a click
-  const MARGIN = 0.02; // part of its time by which the whole reaches beyond it
+  const MARGIN = 0.02; // the share of its time that is added at both ends
 
   const [BLUE, ORANGE, GREEN, RED] = ["#3987e5", "#e08a1e", "#199e70", "#e0524d"];
   const [VIOLET, GREY, OLIVE] = ["#9085e9", "#8a8f98", "#b5a000"];
   const COLOURS = { auto: GREEN, remote: VIOLET, stop: GREY, standby: GREY, engaging: OLIVE, engaged: GREEN, stopping: RED };
-  const PALETTE = [BLUE, ORANGE, VIOLET, OLIVE, GREEN]; // other values of a band take their turns of it
+  const PALETTE = [BLUE, ORANGE, VIOLET, OLIVE, GREEN]; // for other values of a band, in turn
   const [SQUARE, DIAMOND, CIRCLE] = ["M-1-1H1V1H-1Z", "M0-1 1 0 0 1-1 0Z", "M-1 0A1 1 0 1 1 1 0 1 1 0 1 1-1 0Z"];
-  const [OPEN, ON_MAP] = [{ is_open: true }, { is_on_map: true }]; // the outline alone is drawn; it is shown on the path, too
+  const [OPEN, ON_MAP] = [{ is_open: true }, { is_on_map: true }]; // only the outline is drawn; it is also shown on the path
   const look = (path, colour, ...more) => Object.assign({ path, colour, radius: 5.5 }, ...more);
-  const MARKS = { // the outlines differ too, for people who cannot distinguish colours
+  const MARKS = { // shapes differ too, for people who cannot distinguish colours
     stop: look(SQUARE, RED, ON_MAP),
-    latch: look(DIAMOND, RED, OPEN, ON_MAP, { radius: 10 }), // it comes with a stop, and is drawn around it
+    latch: look(DIAMOND, RED, OPEN, ON_MAP, { radius: 10 }), // drawn around the stop that it comes with
     fault: look("M-1-1 1 1M1-1-1 1", ORANGE, OPEN, ON_MAP),
     guard: look("M0-1.2.3-.4 1.2-.4.5.2.7 1.1 0 .6-.7 1.1-.5.2-1.2-.4-.3-.4Z", RED, ON_MAP),
     takeover: look("M0-1 1 1H-1Z", VIOLET, ON_MAP),
@@ -48,7 +48,7 @@
   const BANDS = ["mode", "arbiter", "lease"];
   const [LIMIT, REQUESTED] = [{ name: "limit", colour: GREY, dash: [2, 4] }, { name: "requested", colour: ORANGE, dash: [8, 4] }];
   const [COMMANDED, MEASURED] = [{ name: "commanded", colour: GREEN }, { name: "measured", colour: BLUE, is_straight: true }];
-  const LINES = [ // a value holds until the next one, but for what is measured; the steering limit holds to both sides
+  const LINES = [ // a value holds until the next one, except measured ones; the steering limit is for both sides
     ...[LIMIT, REQUESTED, COMMANDED, MEASURED].map((line) => ({ ...line, chart: 0 })),
     ...[{ ...LIMIT, is_mirrored: true }, REQUESTED, COMMANDED, MEASURED].map((line) => ({ ...line, chart: 1 })),
   ];
@@ -71,7 +71,7 @@
     return element;
   }
 
-  // An event as its symbol, with its words where one points at it.
+  // An event as a symbol, with its text as a tooltip.
   function markOf(look, x, y, text, parent) {
     const mark = svg("path", { d: look.path, class: "mark", stroke: look.colour, fill: look.is_open ? "none" : look.colour,
       transform: `translate(${x.toFixed(1)},${y.toFixed(1)}) scale(${look.radius})`, "pointer-events": "all" }, parent);
@@ -88,7 +88,7 @@
     }
   }
 
-  // Paper is white, and as wide as A4; the browser lays it out only when this is over.
+  // Paper is white and as wide as A4; the browser does its layout after this.
   function print(begins) {
     document.documentElement.toggleAttribute("data-printing", begins);
     if (begins) { all.forEach((drive) => drive.draw()); }
@@ -99,18 +99,18 @@
 
   const widthOf = (element) => (isPrinting() ? 660 : element.clientWidth);
 
-  // What would be shown as minus nothing is nothing.
+  // No minus before zero.
   const fixed = (value, digits) => value.toFixed(digits).replace(/^-(?=[0.]+$)/, "");
   const isoOf = (timeMs) => new Date(Math.round(timeMs)).toISOString();
   const clockOf = (timeMs) => isoOf(timeMs).slice(11, 23);
 
-  // Times from the steps between them.
+  // Times from their differences.
   function sums(steps) {
     let sum = 0;
     return steps.map((step) => (sum += step));
   }
 
-  // The number of the newest that is not after the time; -1 if all are.
+  // The index of the last one up to the time; -1 if there is none.
   function newest(times, timeMs) {
     let low = 0, high = times.length;
     while (low < high) {
@@ -120,10 +120,10 @@
     return low - 1;
   }
 
-  // A player begins with the first message, which may be of another kind than the first sample.
+  // A player begins with the first message, which may not be a sample.
   const reached = (firstMs, timeMs) => (firstMs - timeMs <= SILENT_MS ? Math.max(firstMs, timeMs) : timeMs);
 
-  // A line by its samples, and by where it breaks off.
+  // A line by its samples and its breaks.
   function lineOf([times, values]) {
     return (askedMs) => {
       const timeMs = reached(times[0], askedMs);
@@ -143,7 +143,7 @@
     };
   }
 
-  // Round steps, so far apart that their numbers have room.
+  // Round steps, far enough apart for their numbers.
   function ticks(from, to, pixels) {
     const raw = ((to - from) * 80) / pixels, power = 10 ** Math.floor(Math.log10(raw));
     const step = power * [1, 2, 5, 10].find((one) => one * power >= raw);
@@ -152,7 +152,7 @@
     return { found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
   }
 
-  // Follows the mouse from a press on, and says at the end whether it was a drag. A finger scrolls the page.
+  // Follows the mouse from a press, and reports at the end whether it was a drag. A finger scrolls the page.
   function drag(begin, moved, ended) {
     const [x, y] = [begin.clientX, begin.clientY];
     let isDrag = false;
@@ -170,7 +170,7 @@
     begin.preventDefault();
   }
 
-  // The path of a drive: a plan in metres, with the same scale both ways.
+  // The path of a drive: a map in metres, with equal scales.
   class PathMap {
     constructor(element, drive) {
       this.element = element;
@@ -194,7 +194,7 @@
       this.root.addEventListener("mouseleave", () => this.point(null));
     }
 
-    // All of the path, with some room around it.
+    // The whole path with a margin.
     whole() {
       const points = [...this.drive.path.x_m.map((x, at) => [x, this.drive.path.y_m[at]]), ...this.marks.map(({ at }) => at)];
       const [low, high] = [Math.min, Math.max].map((of) => [0, 1].map((axis) => points.reduce((best, one) => of(best, one[axis]),
@@ -248,7 +248,7 @@
       this.said = svg("text", { x: right - 4, y: field.y + 14, "text-anchor": "end" }, root);
     }
 
-    // Where the pointer is, as the nearest place of the path.
+    // The place of the path nearest to the pointer.
     nearest(event) {
       const [x, y] = this.metres(event), { x_m: xs, y_m: ys } = this.drive.path;
       let best = -1, least = Infinity;
@@ -294,7 +294,7 @@
     }
   }
 
-  // Speed, angle, events and bands of a drive over one axis of time.
+  // Speed, angle, events and bands of a drive over time.
   class TimeCharts {
     constructor(element, drive) {
       this.element = element;
@@ -343,7 +343,7 @@
         legend: { markers: { width: 2 } },
         cursor: {
           sync: { key: this.element.id }, drag: { x: true, y: false, setScale: false, dist: DRAG_PX }, points: { size: 6 },
-          // The newest value of each line, for they have no times in common.
+          // The newest value of each line, since their times differ.
           dataIdx: (self, at, hovered) => {
             const values = self.data[at];
             let found = hovered;
@@ -356,7 +356,7 @@
           },
         },
         hooks: {
-          draw: [() => drive.mark()], // where the fields are is known from then on
+          draw: [() => drive.mark()], // the places of the fields are known from here on
           setCursor: [(self) => { if (self.cursor.event) { drive.hover(self.cursor.left < 0 ? null : self.posToVal(self.cursor.left, "x")); } }],
           setSelect: [(self) => {
             const { left, width } = self.select;
@@ -385,7 +385,7 @@
       return this.range[0] + (Math.min(Math.max(left / this.inner, 0), 1)) * (this.range[1] - this.range[0]);
     }
 
-    // With shift, a drag moves the time. Returns true if this is one.
+    // With shift, a drag moves the time. Returns true for such a drag.
     pan(event) {
       if (!event.shiftKey || event.button !== 0) { return false; }
       const [from, to] = this.range;
@@ -409,7 +409,7 @@
       this.draw();
     }
 
-    // The rows: events, and below them what was so from when to when.
+    // The rows: events, and the bands below them.
     draw() {
       const { rows, drive, range: [fromMs, toMs] } = this;
       this.element.dataset.range = this.range.map(isoOf).join(" ");
@@ -440,7 +440,7 @@
       }
     }
 
-    // The pictures over the charts: outages of the gateway, stops, and the time that is shown.
+    // The overlays of the charts: outages of the gateway, stops, and the present time.
     mark(cursor, timeMs) {
       const top = cursor.getBoundingClientRect().top;
       const fields = [...this.plots.map((plot) => plot.over), this.rows].map((one) => one.getBoundingClientRect())
@@ -455,7 +455,7 @@
     }
   }
 
-  // One drive: its path, its charts over time, its events, and what plays it.
+  // One drive: its path, charts, events and player.
   class Drive {
     constructor(figures, number) {
       const of = (name) => document.getElementById(name + "-" + number);
@@ -464,11 +464,11 @@
       [this.fromMs, this.toMs] = [figures.from_ms, figures.to_ms];
       this.player = of("player");
       this.elements = [of("map"), of("time")];
-      [this.place, this.cursor] = this.elements.map((element) => element.nextElementSibling); // the pictures over the charts
+      [this.place, this.cursor] = this.elements.map((element) => element.nextElementSibling); // the overlays of the charts
       this.lines = figures.lines.map(([steps, values]) => [sums(steps), values]);
       this.path = { ...figures.path, time_ms: sums(figures.path.time_ms) };
       this.begins = new Set(this.path.begins);
-      // A clock that was set back gives the path an order of its own.
+      // The path has its own order if the clock was set back.
       this.order = Array.from(this.path.time_ms.keys()).sort((one, other) => this.path.time_ms[one] - this.path.time_ms[other]);
       this.times = this.order.map((at) => this.path.time_ms[at]);
       [this.button, this.slider, this.speed, this.clock, this.said] = ["button", "input", "select", "a", ".said"].map(
@@ -512,7 +512,7 @@
       new ResizeObserver(() => { if (widthOf(time) !== this.width) { this.dress(); } }).observe(time);
     }
 
-    // In the colours and the width of the page; what was zoomed in on stays.
+    // In the page's colours and width; the zoom stays.
     dress() {
       if (!this.time) { return; }
       this.width = widthOf(this.elements[1]);
@@ -526,7 +526,7 @@
       this.mark();
     }
 
-    // A moment that somebody points at; the arrow keys go on from there.
+    // The moment at the pointer; the arrow keys continue from it.
     choose(timeMs) {
       this.pause();
       this.show(timeMs);
@@ -541,7 +541,7 @@
       let before = performance.now();
       const step = (now) => {
         if (playing !== this) { return; }
-        // A page that was hidden goes on where it was.
+        // A hidden page continues where it was.
         this.show(this.atMs + Math.min(now - before, 250) * Number(this.speed.value));
         before = now;
         if (this.atMs >= this.toMs) { this.pause(); } else { requestAnimationFrame(step); }
@@ -555,7 +555,7 @@
       this.button.textContent = "Play";
     }
 
-    // Goes to a moment, on path, charts and events.
+    // Shows a moment on path, charts and events.
     show(timeMs, isWritten = true) {
       const atMs = Math.min(Math.max(timeMs, this.fromMs), this.toMs);
       this.atMs = atMs;
@@ -578,7 +578,7 @@
       if (isWritten) { write(this); }
     }
 
-    // Where the robot was: x and y in metres, and its heading in radians.
+    // The pose: x and y in metres, and the heading in radians.
     pose(timeMs) {
       const { times, order, path: { x_m: xs, y_m: ys, heading_deg: headings } } = this;
       if (!times.length) { return null; }
@@ -596,7 +596,7 @@
       return pose;
     }
 
-    // Draws the robot on the path, and the time across the charts; for the pointer, too.
+    // Draws the robot on the path and the time across the charts, also for the pointer.
     mark() {
       if (!this.time) { return; }
       const [robot, ghost] = this.place.children;
@@ -634,7 +634,7 @@
     }
   }
 
-  // A time in ISO 8601, in UTC unless it names a zone, or since 1970 in seconds (or ms, us, ns); NaN if it is neither.
+  // A time in ISO 8601, by default in UTC, or since 1970 in seconds (or ms, us, ns); NaN if it is neither.
   function parsed(text) {
     if (/^\d+(\.\d+)?$/.test(text)) {
       let seconds = Number(text);
@@ -645,7 +645,7 @@
     return Date.parse(time ? date + "T" + (/(Z|[+-]\d\d:?\d\d)$/i.test(time) ? time : time + "Z") : date);
   }
 
-  // Goes where the address says.
+  // Shows the moment of the address.
   function follow() {
     clearTimeout(writing);
     writing = 0;
@@ -661,10 +661,10 @@
     const away = (drive) => Math.max(drive.fromMs - timeMs, timeMs - drive.toMs, 0);
     const drive = named.reduce((best, one) => (best && away(best) <= away(one) ? best : one), null);
     if (Number.isNaN(timeMs) || !drive) {
-      tell(drive ? `The address names no time: ${asked.t}` : `This report draws no drive of ${asked.robot}.`);
+      tell(drive ? `The address has no valid time: ${asked.t}` : `This report has no drive of ${asked.robot}.`);
       return;
     }
-    if (away(drive) >= 1) { tell(`This report draws nothing of ${isoOf(timeMs)}. The nearest moment is shown.`); }
+    if (away(drive) >= 1) { tell(`This report does not cover ${isoOf(timeMs)}. The nearest moment is shown.`); }
     drive.pause();
     drive.show(timeMs, false);
     drive.draw();
@@ -677,7 +677,7 @@
     note.hidden = false;
   }
 
-  // A moment outside of what was zoomed in on comes into sight.
+  // Moves the zoom to a moment outside of it.
   function uncover({ time, atMs }) {
     const [from, to] = time.range, half = (to - from) / 2;
     if (atMs < from || atMs > to) { time.zoom(atMs - half, atMs + half); }

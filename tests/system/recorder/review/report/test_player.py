@@ -107,14 +107,14 @@ def test_an_address_with_a_time_opens_there(page: Page, drive: Path, address: st
 @pytest.mark.parametrize(
     ("address", "said"),
     [
-        by_night("#t=yesterday", "The address names no time: yesterday"),
-        by_night("#t=%E0%A4%A", "The address names no time: %E0%A4%A"),
-        by_night("#t=2027-01-15T08:00:04Z&robot=r-9", "This report draws no drive of r-9."),
+        by_night("#t=yesterday", "The address has no valid time: yesterday"),
+        by_night("#t=%E0%A4%A", "The address has no valid time: %E0%A4%A"),
+        by_night("#t=2027-01-15T08:00:04Z&robot=r-9", "This report has no drive of r-9."),
         by_night(
             "#t=2027-01-16T00:00:00Z",
-            "This report draws nothing of 2027-01-16T00:00:00.000Z. The nearest moment is shown.",
+            "This report does not cover 2027-01-16T00:00:00.000Z. The nearest moment is shown.",
         ),
-        ("#t=<img src=x onerror=alert(1)>", "The address names no time: <img src=x onerror=alert(1)>"),
+        ("#t=<img src=x onerror=alert(1)>", "The address has no valid time: <img src=x onerror=alert(1)>"),
     ],
 )
 def test_an_address_that_leads_nowhere_is_said_so(page: Page, drive: Path, address: str, said: str) -> None:
