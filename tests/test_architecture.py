@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 from tests.support.reach import modules
@@ -24,6 +25,17 @@ WORLD = {
 PACKAGES = ("gateway", "recorder", "schemas")
 
 FRAMING = {"recorder.mcap.framing", "recorder.mcap.pieces"}  # opcodes, record headers and checksums of MCAP files
+
+
+@cache
+def sources(folders: tuple[str, ...] = PACKAGES) -> dict[str, ast.Module]:
+    """The syntax trees of these folders by path."""
+    paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text("utf-8")) for path in paths}
+
+
+def texts() -> dict[str, str]:
+    return {path: (ROOT / path).read_text("utf-8") for path in sources()}
 
 
 def contracts() -> dict[str, set[str]]:
@@ -84,17 +96,15 @@ def test_every_room_has_a_contract_of_what_it_may_touch() -> None:
 
 def test_only_one_module_opens_zenoh_sessions() -> None:
     """With one configuration for all."""
-    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     opening = re.compile(r"\bzenoh\.(open|Config\(|Config\.)")
-    found = {path.relative_to(ROOT) for path in files if opening.search(path.read_text(encoding="utf-8"))}
-    assert found == {Path("schemas/zenoh_session.py")}
+    assert [path for path, text in texts().items() if opening.search(text)] == ["schemas/zenoh_session.py"]
 
 
-def named_modules(path: Path) -> set[str]:
+def named_modules(path: str) -> set[str]:
     """The modules of gateway and recorder that a file names in strings."""
     texts = {
         node.value.partition(":")[0]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(sources()[path])
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
     dotted = {text for text in texts if re.fullmatch(r"(gateway|recorder)(\.\w+)+", text)}
@@ -104,16 +114,16 @@ def named_modules(path: Path) -> set[str]:
 
 def test_no_string_names_a_module_of_the_other_package() -> None:
     """But for the one table of commands; import contracts do not see strings and entry points."""
-    files = [path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
-    crossing = {path for path in files if {one.partition(".")[0] for one in named_modules(path)} - {path.parts[0]}}
-    assert crossing == {Path("gateway/cli/main.py")}
+    named = {path: {one.partition(".")[0] for one in named_modules(path)} for path in sources()}
+    crossing = [path for path, packages in named.items() if packages - {path.partition("/")[0]}]
+    assert crossing == ["gateway/cli/main.py"]
     assert "entry-points" not in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
-def framing_in(path: Path) -> set[str]:
+def framing_in(tree: ast.Module) -> set[str]:
     """The modules of MCAP's framing that a file imports: ours, and all of the mcap package but its records."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -124,10 +134,9 @@ def framing_in(path: Path) -> set[str]:
 
 def test_only_one_room_knows_how_mcap_is_framed() -> None:
     """All others use ``recorder.mcap``'s reader and writer."""
-    room = ROOT / "recorder" / "mcap"
-    files = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
-    assert {str(path): found for path in files if room not in path.parents and (found := framing_in(path))} == {}
-    assert any(framing_in(path) >= {"recorder.mcap.framing", "mcap.opcode"} for path in room.glob("*.py"))
+    found = {path: framing_in(tree) for path, tree in sources().items()}
+    assert {path: names for path, names in found.items() if names and "recorder/mcap/" not in path} == {}
+    assert any(names >= {"recorder.mcap.framing", "mcap.opcode"} for names in found.values())
 
 
 SAID_TWICE = {name: ["schemas/messages.py", "schemas/requests.py"] for name in ("Drive", "Light")} | {
@@ -148,10 +157,9 @@ def test_the_list_of_questions_names_every_module() -> None:
 def test_no_docstring_begins_as_a_question() -> None:
     """A docstring is an imperative or a noun phrase."""
     found = [
-        f"{path.relative_to(ROOT)}:{one.lineno}"
-        for package in PACKAGES
-        for path in sorted((ROOT / package).rglob("*.py"))
-        for one in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{path}:{one.lineno}"
+        for path, tree in sources().items()
+        for one in ast.walk(tree)
         if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant) and isinstance(one.value.value, str)
         if one.value.value.startswith(("What ", "Whether ", "How "))
     ]
@@ -161,10 +169,9 @@ def test_no_docstring_begins_as_a_question() -> None:
 def test_no_text_is_read_in_the_encoding_of_the_surroundings() -> None:
     """Our files are UTF-8 in any locale."""
     found = [
-        f"{path.relative_to(ROOT)}:{one.lineno}"
-        for package in PACKAGES
-        for path in sorted((ROOT / package).rglob("*.py"))
-        for one in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{path}:{one.lineno}"
+        for path, tree in sources().items()
+        for one in ast.walk(tree)
         if isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute)
         if (one.func.attr == "read_text" and not (one.args or one.keywords))
         or (one.func.attr == "write_text" and len(one.args) + len(one.keywords) < 2)
@@ -188,13 +195,9 @@ OPEN_END = re.compile(r"(?<!\\)\$(\Z|[|)])")
 
 def test_no_pattern_admits_a_line_end_behind_it() -> None:
     """``$`` does: a key with a line end was granted what the other key was not."""
-    found = {
-        str(path.relative_to(ROOT)): lines
-        for package in (*PACKAGES, "deploy")
-        for path in sorted((ROOT / package).rglob("*.py"))
-        if (lines := open_ends(ast.parse(path.read_text(encoding="utf-8"))))
-    }
-    assert found == {}
+    assert {
+        path: lines for path, tree in sources((*PACKAGES, "deploy")).items() if (lines := open_ends(tree))
+    } == {}
     seen = 'A = f"^{B}$"\nC = re.compile(r"a$|b")\nD = re.sub("a$", "", E, flags=re.MULTILINE)'
     assert open_ends(ast.parse(seen)) == [1, 2]
 
@@ -202,55 +205,22 @@ def test_no_pattern_admits_a_line_end_behind_it() -> None:
 def test_no_public_class_has_the_name_of_another() -> None:
     """A name in a traceback or a search means one thing."""
     places: dict[str, list[str]] = {}
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.parse(path.read_text(encoding="utf-8")).body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    for path, tree in sources().items():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(path)
     assert {name: found for name, found in places.items() if len(found) > 1} == SAID_TWICE
 
 
 def test_one_function_starts_our_interpreter() -> None:
     """With ``-P``; otherwise it would execute foreign files in the working directory."""
     starts = re.compile(r"sys\.executable|import executable|multiprocessing|ProcessPool")
-    found = {
-        str(path.relative_to(ROOT)): set(starts.findall(path.read_text("utf-8")))
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
-    }
+    found = {path: set(starts.findall(text)) for path, text in texts().items()}
     assert {path: words for path, words in found.items() if words} == {
         "schemas/command_line.py": {"sys.executable"},
         # A pool of processes: it sets what `-P` sets.
         "recorder/review/tasks.py": {"multiprocessing", "ProcessPool"},
     }
-
-
-EXTRAS = (
-    "duckdb",
-    "foxglove",
-    "numpy",
-    "obstore",
-    "prometheus_client",
-    "ptars",
-    "pyarrow",
-    "ray",
-    "rerun",
-    "starlette",
-)
-
-WITHOUT_EXTRAS = f"""
-import importlib, sys
-sys.modules.update(dict.fromkeys({EXTRAS!r}))
-from gateway.cli.main import COMMANDS
-from recorder.cli.review import QUESTIONS
-for module, _ in [*COMMANDS.values(), *QUESTIONS.values()]:
-    importlib.import_module(module.partition(":")[0])
-"""
-
-
-def test_every_command_explains_itself_without_the_extras() -> None:
-    """An extra is imported when it is needed: 'make demo' and a robot have none."""
-    subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], cwd=ROOT, check=True)
 
 
 def test_a_name_of_a_module_means_one_in_its_package() -> None:
