@@ -234,11 +234,8 @@ BOUNDS: Final = Bounds(robots=1000, recorders=100, name_length=64, forgotten_ns=
 
 GAP_MAX: Final = 100_000  # a larger step is a restarted sender, not a loss
 DAMAGED: Final = "damaged"
-UNREADABLE: Final = (
-    "newer",
-    "older",
-    DAMAGED,
-)  # reasons: schema of a newer or an older version than here, or damaged
+# reasons: schema of a newer or an older version than here, or damaged
+UNREADABLE: Final = ("newer", "older", DAMAGED)
 
 
 class _Counts:

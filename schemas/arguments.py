@@ -56,6 +56,21 @@ def seconds(text: str) -> float:
     return value
 
 
+def number(low: float, high: float, what: str) -> Callable[[str], float]:
+    """Return a reader of numbers in a range; ``what`` names them in its error."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!a} is not {what} from {low:g} to {high:g}")
+        return value
+
+    return read
+
+
 def ending_after(
     stopped: Callable[[], bool], duration_s: float | None, clock_s: Callable[[], float]
 ) -> Callable[[], bool]:

@@ -15,9 +15,8 @@ from schemas.settings import Settings
 ZENOH_ENDING: Final = ".json5"
 
 SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")  # the settings of a robot's services
-OF_THE_ROBOT: Final = frozenset(
-    {"doctor", "gateway", "record"}
-)  # commands that read SYSTEM_FILE where no file is named
+# commands that read SYSTEM_FILE where no file is named
+OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
 
 _LOOKING: Final = ("list", "watch", "view", "why")
 _DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")

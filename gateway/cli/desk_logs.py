@@ -134,23 +134,13 @@ LISTED: Final = 20  # logs that are named without a catalog
 TEXT_MAX: Final = 300  # the longest word of a search, and the longest line that says what is wrong with it
 Answer = Callable[[Request], Awaitable[Response]]
 
-FLAGS: Final = (
-    "robot",
-    "reason",
-    "operator",
-    "since",
-    "until",
-)  # flags of ``cruiser review find`` that the page offers
+# flags of ``cruiser review find`` that the page offers
+FLAGS: Final = ("robot", "reason", "operator", "since", "until")
 
 REASONS: Final = sorted(reason.value for reason in Reason if reason is not Reason.NONE)
 
-EXPOSED: Final = (
-    "Accept-Ranges",
-    "Content-Length",
-    "Content-Range",
-    "ETag",
-    "Last-Modified",
-)  # headers that a viewer needs to read a file by ranges
+# headers that a viewer needs to read a file by ranges
+EXPOSED: Final = ("Accept-Ranges", "Content-Length", "Content-Range", "ETag", "Last-Modified")
 
 
 class Viewer(msgspec.Struct, frozen=True):

@@ -55,12 +55,8 @@ EXAMPLE: Final = """\
 HEARS_S: Final = 1.3  # health comes once a second
 POLL_S: Final = 0.02
 
-SEEING: Final = (
-    "viewer.json5",
-    "recorder.json5",
-    "operator.json5",
-    "desk.json5",
-)  # Zenoh files of roles that see telemetry
+# Zenoh files of roles that see telemetry
+SEEING: Final = ("viewer.json5", "recorder.json5", "operator.json5", "desk.json5")
 
 INSTALLED: Final = (
     "gateway/robot.json5",
@@ -73,9 +69,8 @@ INSTALLED: Final = (
 
 ROBOT_FILE: Final = "robot.json5"
 
-OTHER_ROLES: Final = frozenset(
-    {"operator", "viewer", "desk", "recorder"}
-)  # roles of machines that are not a robot's computer
+# roles of machines that are not a robot's computer
+OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

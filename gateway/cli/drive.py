@@ -8,7 +8,6 @@ pause or a burst a key must be released and pressed again.
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import re
 import select
@@ -18,7 +17,6 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -41,7 +39,7 @@ from gateway.client.fleet import BAD, GOOD, LOUD, NO_VALUE
 from gateway.client.link import Sighting
 from gateway.client.refusal import Refused, Stopped, link_line, reason_line, state_line
 from gateway.client.robot import Lease, Robot
-from schemas.arguments import seconds
+from schemas.arguments import number, seconds
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.decisions import ArbiterState
 from schemas.reasons import Reason
@@ -287,13 +285,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser)
     parser.add_argument(
         "--speed",
-        type=partial(_number, top=CHASSIS.top_speed_mps, unit="m/s"),
+        type=number(-CHASSIS.top_speed_mps, CHASSIS.top_speed_mps, "a speed in m/s"),
         metavar="M/S",
         help=f"speed, negative is backward (default {SPEED_MPS:g} with keys)",
     )
     parser.add_argument(
         "--angle",
-        type=partial(_number, top=CHASSIS.top_angle_deg, unit="deg"),
+        type=number(-CHASSIS.top_angle_deg, CHASSIS.top_angle_deg, "an angle in degrees"),
         metavar="DEG",
         help=f"steering angle, positive is left (default {ANGLE_DEG:g} with keys, 0 otherwise)",
     )
@@ -449,16 +447,4 @@ def _deadman(text: str) -> float:
     value = seconds(text)
     if value > DEADMAN_MAX_S:
         raise argparse.ArgumentTypeError(f"{text} s is longer than the maximum timeout, {DEADMAN_MAX_S:g} s")
-    return value
-
-
-def _number(text: str, top: float, unit: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number")
-    if abs(value) > top:
-        raise argparse.ArgumentTypeError(f"{text} {unit} is above the chassis's maximum, {top:g} {unit}")
     return value

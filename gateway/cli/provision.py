@@ -51,7 +51,7 @@ from gateway.provisioning.key_files import (
 )
 from gateway.telemetry.samples import Received
 from gateway.zenoh.operator import StatementPort
-from schemas.arguments import add_zenoh_arguments, robot_name, seconds
+from schemas.arguments import add_zenoh_arguments, number, robot_name, seconds
 from schemas.authority.key_files import AUTHORITY_FILE, directory_of
 from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
@@ -70,7 +70,7 @@ ROBOT_VERBS: Final = [verb for verb in BY_VERB if verb != STOP_VERB]  # verbs th
 
 PERSONS: Final = (GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR)
 
-_SPEED_MAX_MPS: Final = 100
+_SPEED: Final = number(0.01, 100, "a speed in m/s")
 _LIFE_MAX_S: Final = 3653 * DAY_S
 
 _GRANT_FLAGS: Final = ("robots", "verbs", "role", "override", "speed_limit")
@@ -94,12 +94,14 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
         help="operator, program or supervisor (operator)",
     )
     grant.add_argument("--override", action="store_true", help="right to take the lease of a moving robot")
-    grant.add_argument("--speed-limit", type=_speed, metavar="M/S", help="speed limit for this holder (none)")
+    grant.add_argument("--speed-limit", type=_SPEED, metavar="M/S", help="speed limit for this holder (none)")
     lasts = grant.add_mutually_exclusive_group()
     lasts.add_argument(
-        "--hours", dest="lasts", type=_times(HOUR_S), metavar="H", help="life of a person's grant (12)"
+        "--hours", dest="lasts", type=_life(HOUR_S, "hours"), metavar="H", help="life of a person's grant (12)"
     )
-    lasts.add_argument("--days", dest="lasts", type=_times(DAY_S), metavar="D", help="life of other grants (90)")
+    lasts.add_argument(
+        "--days", dest="lasts", type=_life(DAY_S, "days"), metavar="D", help="life of other grants (90)"
+    )
 
 
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
@@ -162,34 +164,12 @@ def _verbs(text: str) -> list[str]:
     return names
 
 
-def _speed(text: str) -> float:
-    return _number(text, _SPEED_MAX_MPS, f"not a speed above 0 and up to {_SPEED_MAX_MPS} m/s")
+def _life(unit_s: int, units: str) -> Callable[[str], float]:
+    read = number(0.01, _LIFE_MAX_S // unit_s, f"a number of {units}")
+    return lambda text: read(text) * unit_s
 
 
-def _times(unit_s: int) -> Callable[[str], float]:
-    def life(text: str) -> float:
-        unit = "hours" if unit_s == HOUR_S else "days"
-        most = _LIFE_MAX_S // unit_s
-        return max(1, _number(text, most, f"not a number of {unit} above 0 and up to {most}") * unit_s)
-
-    return life
-
-
-def _number(text: str, most: float, otherwise: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value <= most:
-        raise argparse.ArgumentTypeError(f"{text!a} is {otherwise}")
-    return value
-
-
-SENDERS: Final = (
-    "desk",
-    "operator",
-    "viewer",
-)  # roles whose certificate is used if the settings name none, in order of preference
+SENDERS: Final = ("desk", "operator", "viewer")  # whose certificate is used, if the settings name none
 
 Stopped = Callable[[], bool]
 

@@ -58,6 +58,7 @@ SERVICES: Final = {"gateway": "robot", "recorder": "recorder", "router": "router
 """Services with the role of their certificates; their keys are in a directory of the service's name."""
 
 
+# findings that may disappear in the first seconds after a start
 PENDING: Final = frozenset(
     {
         "bus_unreachable",
@@ -74,7 +75,7 @@ PENDING: Final = frozenset(
         "disk_unusable",
         "recorder_missing",
     }
-)  # findings that may disappear in the first seconds after a start
+)
 
 
 class Answers(msgspec.Struct, frozen=True):
@@ -214,9 +215,8 @@ PROGRAM_TIMEOUT_S: Final = 120.0
 
 SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in SERVICES.items()}
 
-NOBODY_DRIVES: Final = frozenset(
-    {"other_commander", "two_gateways"}
-)  # findings with which setup changes nothing: another process drives the robot
+# findings with which setup changes nothing: another process drives the robot
+NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

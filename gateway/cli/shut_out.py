@@ -22,9 +22,8 @@ from schemas.zenoh_session import MODE, SessionError, client_endpoints, close_se
 
 log = logging.getLogger(__name__)
 
-SERVICES: Final = frozenset(
-    {"gateway", "router", "record", "desk", "metrics"}
-)  # commands that run as long as their machine
+# commands that run as long as their machine
+SERVICES: Final = frozenset({"gateway", "router", "record", "desk", "metrics"})
 
 LOOK_S: Final = 1.0  # period of looking at certificates and router, well below the watchdog's time
 

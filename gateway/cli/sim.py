@@ -29,7 +29,7 @@ from gateway.sim.disturbances import (
     show_address,
 )
 from gateway.sim.model import VirtualChassis
-from schemas.arguments import seconds
+from schemas.arguments import number, seconds
 from schemas.command_line import CommandError, ExitCode
 from schemas.messages import Variant
 from schemas.settings import CanSettings, Settings
@@ -43,9 +43,8 @@ _STALL_NS: Final = 500_000_000
 """A longer delay is left out of the chassis's life: the process was stopped, and no chassis sends bursts."""
 
 _MAX_FRAMES_PER_WAIT: Final = 200  # frames taken from a CAN bus before the chassis has its turn again
-Inject = Callable[
-    [str], str
-]  # causes the fault that a text names; returns what is wrong with the text, or nothing
+# causes the fault that a text names; returns what is wrong with the text, or nothing
+Inject = Callable[[str], str]
 
 
 class SimBus(Protocol):
@@ -183,7 +182,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     parser.add_argument(
         "--rate-multiplier",
-        type=_rate_multiplier,
+        type=number(MIN_RATE_MULTIPLIER, MAX_RATE_MULTIPLIER, "a factor"),
         default=1.0,
         metavar="N",
         help="factor on the feedback's rate, to load a bus: 11.9 gives 7,500 frames/s",
@@ -267,13 +266,3 @@ def _slope(text: str) -> float:
     if isinstance(line, FaultTextError):
         raise argparse.ArgumentTypeError(line.reason)
     return float(text)
-
-
-def _rate_multiplier(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from error
-    if not MIN_RATE_MULTIPLIER <= value <= MAX_RATE_MULTIPLIER:
-        raise argparse.ArgumentTypeError(f"{text} is not from {MIN_RATE_MULTIPLIER:g} to {MAX_RATE_MULTIPLIER:g}")
-    return value

@@ -30,14 +30,8 @@ BUTTON: Final = "Use the button on the robot"
 BUTTONS: Final = "Use the buttons on the robots"
 NOTHING_SENT: Final = "NOT STOPPED: NOTHING WAS SENT"
 
-NAMED: Final = (
-    "stopped",
-    "refused",
-    "unconfirmed",
-    "silent",
-    "unverified",
-    "unfinished",
-)  # fields of a report that name robots
+# fields of a report that name robots
+NAMED: Final = ("stopped", "refused", "unconfirmed", "silent", "unverified", "unfinished")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

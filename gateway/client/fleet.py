@@ -334,15 +334,11 @@ WORDS: Final = {
 
 OFFLINE: Final = "offline"
 
-LABELS: Final = {
-    "needs_reset": "stopped - needs reset",
-    "telemetry": "telemetry only",
-}  # words as shown, where they differ
+# words as shown, where they differ
+LABELS: Final = {"needs_reset": "stopped - needs reset", "telemetry": "telemetry only"}
 
-COUNTED: Final = {
-    "needs_reset": ("needs reset", "need reset"),
-    "telemetry": ("telemetry only", "telemetry only"),
-}  # words after a number: singular and plural
+# words after a number: singular and plural
+COUNTED: Final = {"needs_reset": ("needs reset", "need reset"), "telemetry": ("telemetry only", "telemetry only")}
 
 
 def word_of(report: RobotStatus) -> tuple[str, list[Reason]]:
