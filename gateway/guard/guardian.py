@@ -190,7 +190,7 @@ class Guardian:
             # The chassis holds its last command: zero speed, in gear.
             self._stopper.give_up(MOTOR)
         elif now_ns - self._began_ns > GUARD_GIVES_UP_NS:
-            why = NOT_OBEYED if self._stopper.is_transmitting(now_ns) else "the bus takes no frames"
+            why = NOT_OBEYED if self._stopper.is_transmitting(now_ns) else "the bus accepts no frames"
             self._stopper.give_up(f"given up: {why}")
         elif self._stopper.is_paused and now_ns - self._feedback_ns > GUARD_GIVES_UP_NS:
             self._stopper.give_up("given up: the remote control had the robot, and its feedback has ended")

@@ -115,7 +115,7 @@ UNSEEN: Final = StopOutcome.UNSEEN.value
 REMOTE: Final = StopOutcome.REMOTE.value
 OTHER: Final = StopOutcome.OTHER.value
 MOTOR: Final = StopOutcome.MOTOR.value
-NOT_OBEYED: Final = "it is told zero speed and the parking brake, and is not seen to obey"
+NOT_OBEYED: Final = "no response to zero speed and the parking brake"
 """Ends of a stop, and reasons to wait."""
 
 _AHEAD_MAX: Final = 3

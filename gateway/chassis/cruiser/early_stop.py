@@ -262,7 +262,7 @@ class EarlyStop:
         if self.chassis.mode(now_ns) == REMOTE:
             return self._end("the remote control has the robot")
         if now_ns - self._begun_ns > GIVES_UP_NS:
-            return self._end("given up: it is told zero speed and the parking brake, and is not seen to obey")
+            return self._end("given up: no response to zero speed and the parking brake")
         if now_ns < self._due_ns:
             return []
         self._due_ns += TICK_NS * (1 + (now_ns - self._due_ns) // TICK_NS)

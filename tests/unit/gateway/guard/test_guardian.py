@@ -451,7 +451,7 @@ def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*,
     told = {frame.can_id: frame.data for _, frame in rig.sent[-5:]}
     assert told[load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id][:2] == b"\1\1"
     assert told[load(Variant.COARSE).messages["Auto_GearCmd"].can_id][1] == 4
-    assert "given up: it is told zero speed and the parking brake" in rig.lines[-1]
+    assert "given up: no response to zero speed and the parking brake" in rig.lines[-1]
 
 
 def test_horn_and_odometer_are_ended_with_the_robot_and_its_hazard_lights_are_on() -> None:
