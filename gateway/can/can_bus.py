@@ -147,13 +147,9 @@ class BusFull(Exception):  # noqa: N818 - it is named for what happened; the fra
 
 
 class Bus(Protocol):
-    """A CAN bus as the loops use it.
+    """A CAN bus as the loops use it."""
 
-    Attributes:
-        drops: frames since the opening that the kernel dropped, or that were garbled.
-    """
-
-    drops: int
+    drops: int  # frames since the opening that the kernel dropped, or that were garbled
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next frame, or None after the timeout. Raises BusLost."""

@@ -75,14 +75,10 @@ CLAIMS_MAX: Final = 8  # most gateways on one bus that are counted
 
 
 class BusClaim:
-    """Announces to other gateways on this computer that this one commands a bus. It does not lock the bus.
-
-    Attributes:
-        is_shared: another gateway has claimed it before.
-    """
+    """Announces to other gateways on this computer that this one commands a bus. It does not lock the bus."""
 
     def __init__(self, settings: CanSettings) -> None:
-        self.is_shared = False
+        self.is_shared = False  # another gateway has claimed it before
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         # Later gateways take further names, so that 'cruiser doctor' can count them.
         for name in _names(settings):

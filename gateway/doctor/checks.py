@@ -61,36 +61,24 @@ USE_REASONS: Final = frozenset(
 
 
 class Detail(NamedTuple):
-    """The particulars of a finding, beyond the texts of its row.
+    """The particulars of a finding, beyond the texts of its row."""
 
-    Attributes:
-        text: the figures; may be empty.
-        cure: replaces the row's cure unless empty.
-        means: replaces the row's text unless empty.
-    """
-
-    text: str = ""
-    cure: str = ""
-    means: str = ""
+    text: str = ""  # the figures; may be empty
+    cure: str = ""  # replaces the row's cure unless empty
+    means: str = ""  # replaces the row's text unless empty
 
 
 Look = Callable[[Facts], Iterable[Detail]]
 
 
 class Check(msgspec.Struct, frozen=True):
-    """A row.
-
-    Attributes:
-        means: text of the finding.
-        cure: with placeholders ROBOT, CHANNEL and BITRATE.
-        is_note: the robot works all the same; the exit code is not affected.
-    """
+    """A row."""
 
     name: str
-    means: str
-    cure: str
+    means: str  # text of the finding
+    cure: str  # with placeholders ROBOT, CHANNEL and BITRATE
     look: Look
-    is_note: bool = False
+    is_note: bool = False  # the robot works all the same; the exit code is not affected
 
 
 class Diagnosis(msgspec.Struct, frozen=True):

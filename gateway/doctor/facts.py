@@ -14,22 +14,14 @@ from schemas.settings import GUARD_LATE_NS, Settings
 
 
 class CanInterface(msgspec.Struct, frozen=True):
-    """A CAN interface of the kernel's.
+    """A CAN interface of the kernel's."""
 
-    Attributes:
-        is_present: the interface exists.
-        is_virtual: it has no controller, and so no bit rate: vcan.
-        bitrate: bit/s; None if it has none or it is unknown.
-        controller: the controller's state as the kernel names it, such as BUS-OFF; empty if unknown.
-        restart_ms: time until a controller restarts after bus-off; None if unknown.
-    """
-
-    is_present: bool = False
+    is_present: bool = False  # the interface exists
     is_up: bool = False
-    is_virtual: bool = False
-    bitrate: int | None = None
-    controller: str = ""
-    restart_ms: int | None = None
+    is_virtual: bool = False  # it has no controller, and so no bit rate: vcan
+    bitrate: int | None = None  # bit/s; None if it has none or it is unknown
+    controller: str = ""  # the controller's state as the kernel names it, such as BUS-OFF; empty if unknown
+    restart_ms: int | None = None  # time until a controller restarts after bus-off; None if unknown
     queue_frames: int = 0
 
 
@@ -37,127 +29,93 @@ class BusReport(msgspec.Struct, frozen=True):
     """Feedback received from a CAN bus in a second, without sending.
 
     Attributes:
-        why_not: why it could not be opened; empty if it could.
         health, state: as a gateway would report them; None if the bus could not be opened.
-        is_commanded: frames that move the chassis were received.
     """
 
-    why_not: str = ""
+    why_not: str = ""  # why it could not be opened; empty if it could
     health: GatewayHealth | None = None
     state: RobotState | None = None
-    is_commanded: bool = False
+    is_commanded: bool = False  # frames that move the chassis were received
 
 
 class ZenohReport(msgspec.Struct, frozen=True):
     """Samples received on Zenoh.
 
     Attributes:
-        place: the endpoint, as text.
-        why_not: why there is no connection; empty if there is one.
-        is_blind: the robot's own certificate was used, which receives no telemetry.
         health, safety, state: the newest of the robot; None if there was none.
-        clock_moved_s: steps of the robot's clock since its gateway started; negative if it was set back.
-        settings: of the gateway that answers; None if unknown.
     """
 
-    place: str = ""
-    why_not: str = ""
-    is_blind: bool = False
+    place: str = ""  # the endpoint, as text
+    why_not: str = ""  # why there is no connection; empty if there is one
+    is_blind: bool = False  # the robot's own certificate was used, which receives no telemetry
     is_named: bool = False
     gateways: int = 0
     health: GatewayHealth | None = None
     safety: SafetyState | None = None
     state: RobotState | None = None
     ahead_s: float = 0.0
-    clock_moved_s: float = 0.0
+    clock_moved_s: float = 0.0  # steps of the robot's clock since its gateway started; negative if it was set back
     recorders: list[RecorderHealth] = []
-    settings: Settings | None = None
+    settings: Settings | None = None  # of the gateway that answers; None if unknown
 
 
 class ServiceUnit(msgspec.Struct, frozen=True):
-    """A systemd unit.
+    """A systemd unit."""
 
-    Attributes:
-        name: such as ``cruiser-gateway.service``.
-        result: systemd's result of its last run; success if it did not fail or the result is lost.
-        restarts: automatic restarts since it was started by hand or at boot.
-        ended_s: time of its last failure, seconds since 1970; None if unknown.
-    """
-
-    name: str
+    name: str  # such as ``cruiser-gateway.service``
     state: str
-    result: str = "success"
-    restarts: int = 0
-    ended_s: float | None = None
+    result: str = "success"  # systemd's result of its last run; success if it did not fail or the result is lost
+    restarts: int = 0  # automatic restarts since it was started by hand or at boot
+    ended_s: float | None = None  # time of its last failure, seconds since 1970; None if unknown
 
 
 class LogDisk(msgspec.Struct, frozen=True):
-    """The file system of the logs.
-
-    Attributes:
-        why_not: why it cannot be written to; empty if it can.
-        used_bytes: by the logs.
-    """
+    """The file system of the logs."""
 
     directory: str
-    why_not: str = ""
+    why_not: str = ""  # why it cannot be written to; empty if it can
     is_read_only: bool = False
     free_bytes: int = 0
     size_bytes: int = 0
-    used_bytes: int = 0
+    used_bytes: int = 0  # by the logs
 
 
 class Credential(msgspec.Struct, frozen=True):
-    """A certificate with its key, or a grant.
-
-    Attributes:
-        problem: what is wrong, and the cure, in one line; empty if it is valid.
-        warning: set when it expires soon, in the same form.
-        ends_s: expiry, seconds since 1970; None if unknown.
-    """
+    """A certificate with its key, or a grant."""
 
     name: str
-    problem: str = ""
-    warning: str = ""
-    ends_s: int | None = None
+    problem: str = ""  # what is wrong, and the cure, in one line; empty if it is valid
+    warning: str = ""  # set when it expires soon, in the same form
+    ends_s: int | None = None  # expiry, seconds since 1970; None if unknown
 
 
 class Facts(msgspec.Struct, frozen=True):
     """Everything that the checks judge.
 
     Attributes:
-        now_s: this machine's clock, seconds since 1970.
         earliest_s: a time that is certainly past: the installation's, or the newest known from the authority.
-        is_synchronised: the kernel's clock is synchronised with a time server; None if unknown.
-        booted_s: boot time of this computer, seconds since 1970.
-        was_shut_down: it was shut down before it booted; None if its journal does not say.
         stop_note: time and cause of a latched stop by the guard or the early stop, in one line; empty if there is
             none, or this user may not read it.
         hole: what a certificate without rights can do at the router, with the cure, or why the test failed; empty
             if it can do nothing, None if it was not tested.
-        bus_of_settings: the bus of the settings, where the gateway uses another one; else empty.
-        interface: None where the bus is not a kernel interface.
-        claims: gateways on this computer that command the bus.
-        bus: None if it was not examined, because a gateway reports it.
-        disk: None where no recorder runs on this computer.
     """
 
     settings: Settings
     version: str
-    now_s: float
+    now_s: float  # this machine's clock, seconds since 1970
     earliest_s: float = 0.0
-    is_synchronised: bool | None = None
-    interface: CanInterface | None = None
-    claims: int = 0
-    bus: BusReport | None = None
+    is_synchronised: bool | None = None  # the kernel's clock is synchronised with a time server; None if unknown
+    interface: CanInterface | None = None  # None where the bus is not a kernel interface
+    claims: int = 0  # gateways on this computer that command the bus
+    bus: BusReport | None = None  # None if it was not examined, because a gateway reports it
     zenoh: ZenohReport = ZenohReport()
-    disk: LogDisk | None = None
+    disk: LogDisk | None = None  # None where no recorder runs on this computer
     units: list[ServiceUnit] = []
     credentials: list[Credential] = []
-    booted_s: float = 0.0
-    was_shut_down: bool | None = None
+    booted_s: float = 0.0  # boot time of this computer, seconds since 1970
+    was_shut_down: bool | None = None  # it was shut down before it booted; None if its journal does not say
     stop_note: str = ""
-    bus_of_settings: str = ""
+    bus_of_settings: str = ""  # the bus of the settings, where the gateway uses another one; else empty
     hole: str | None = None
 
     @property
@@ -176,20 +134,13 @@ _AT_ONCE: Final = "command.emergency_deceleration_mps2"
 
 
 class Way(NamedTuple):
-    """The stopping distance from the highest speed on level ground, after one event.
-
-    Attributes:
-        notice_m: until the event is detected.
-        notice_setting: lower it to shorten ``notice_m``; empty if no setting does.
-        stop_m: from there to standstill, with the drive lag of the virtual chassis.
-        stop_setting: raise it to shorten ``stop_m``.
-    """
+    """The stopping distance from the highest speed on level ground, after one event."""
 
     event: str
-    notice_m: float
-    notice_setting: str
-    stop_m: float
-    stop_setting: str
+    notice_m: float  # until the event is detected
+    notice_setting: str  # lower it to shorten ``notice_m``; empty if no setting does
+    stop_m: float  # from there to standstill, with the drive lag of the virtual chassis
+    stop_setting: str  # raise it to shorten ``stop_m``
 
     def __str__(self) -> str:
         lower = f" (lower {self.notice_setting})" if self.notice_setting else ""

@@ -38,20 +38,17 @@ class Guardian:
     """Watches the heartbeat, and stops the robot when it fails.
 
     Attributes:
-        is_ended: nothing is left to guard; the process may exit.
         is_sending: a stop is under way, and the loop must not send. The stop is completed even if the loop
             recovers: a loop that has seen this flag does not take the robot back.
-        cause: of the current or last stop.
-        outcome: of the last stop; NONE while one is under way.
     """
 
     def __init__(self, chassis: Chassis, settings: CommandSettings) -> None:
         self.view = chassis.view()
-        self.is_ended = False
+        self.is_ended = False  # nothing is left to guard; the process may exit
         self.is_sending = False
         self.stops = 0
-        self.cause = Cause.NONE
-        self.outcome = StopOutcome.NONE
+        self.cause = Cause.NONE  # of the current or last stop
+        self.outcome = StopOutcome.NONE  # of the last stop; NONE while one is under way
         self._stopper = Stopper(chassis, self.view, settings)
         # One stop per failure: only a loop that has recovered can fail again.
         self._is_armed = True

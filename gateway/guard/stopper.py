@@ -24,28 +24,20 @@ class Beat(msgspec.Struct, frozen=True):
     """The loop's sign of life, each tick, after it has sent.
 
     Attributes:
-        now_ns: monotonic, after the loop has sent.
-        is_active: the chassis is under command, or was until the tick before, where a stop ended.
-        told_ns: when the bus last accepted a whole burst.
         is_left: another controller took the chassis over while it held the command ``last``, and may give it back.
-        is_mute: the output cannot be sent; the guard has to act at once.
-        last: the chassis's last command; AT_REST if it no longer counts.
-        counters: the next alive counter of each command frame, in the layout's order.
-        is_released: the stop holds the robot by its motor, because the parking brake does not hold it.
-        returns: how often the robot moved in this stop after the enables were gone.
     """
 
-    now_ns: int
-    told_ns: int = 0
-    is_active: bool = False
+    now_ns: int  # monotonic, after the loop has sent
+    told_ns: int = 0  # when the bus last accepted a whole burst
+    is_active: bool = False  # the chassis is under command, or was until the tick before, where a stop ended
     is_left: bool = False
-    is_mute: bool = False
+    is_mute: bool = False  # the output cannot be sent; the guard has to act at once
     is_closing: bool = False
     variant: Variant = Variant.UNKNOWN
-    last: Actuation = AT_REST
-    counters: bytes = bytes(8)
-    is_released: bool = False
-    returns: int = 0
+    last: Actuation = AT_REST  # the chassis's last command; AT_REST if it no longer counts
+    counters: bytes = bytes(8)  # the next alive counter of each command frame, in the layout's order
+    is_released: bool = False  # the stop holds the robot by its motor, because the parking brake does not hold it
+    returns: int = 0  # how often the robot moved in this stop after the enables were gone
 
 
 class Cause(Enum):
@@ -70,37 +62,27 @@ class StopOutcome(Enum):
 
 
 class GuardView(msgspec.Struct, frozen=True):
-    """The guard as the loop sees it.
+    """The guard as the loop sees it."""
 
-    Attributes:
-        is_watching: it is alive, has its bus and receives feedback: it would stop the robot.
-        is_sending: it is alive and stops the robot; the loop must not send.
-        stops: stops begun since the start.
-        says: cause and outcome of the last stop; empty if there was none.
-    """
-
-    is_watching: bool = False
-    is_sending: bool = False
-    stops: int = 0
-    says: str = ""
+    is_watching: bool = False  # it is alive, has its bus and receives feedback: it would stop the robot
+    is_sending: bool = False  # it is alive and stops the robot; the loop must not send
+    stops: int = 0  # stops begun since the start
+    says: str = ""  # cause and outcome of the last stop; empty if there was none
 
 
 class GuardStatus(msgspec.Struct, frozen=True):
     """The guard's sign of life.
 
     Attributes:
-        is_ready: its bus is open and it receives feedback.
         is_sending: it stops the robot, or waits for the remote control to give it back; the loop must not send.
-        cause: of the current or last stop.
-        outcome: of the last stop; NONE while one is under way.
     """
 
     now_ns: int
-    is_ready: bool = False
+    is_ready: bool = False  # its bus is open and it receives feedback
     is_sending: bool = False
     stops: int = 0
-    cause: Cause = Cause.NONE
-    outcome: StopOutcome = StopOutcome.NONE
+    cause: Cause = Cause.NONE  # of the current or last stop
+    outcome: StopOutcome = StopOutcome.NONE  # of the last stop; NONE while one is under way
 
     @property
     def says(self) -> str:
@@ -128,11 +110,6 @@ class Stopper:
     A ramp from an old speed must not set a resting robot moving: a stop that begins late or was interrupted reads
     the feedback first. While the remote control (RC) has the robot the stop waits, because the chassis executes
     its last command afterwards.
-
-    Attributes:
-        is_over: nothing more is to be sent.
-        is_paused: nothing is sent, because the remote control has the robot.
-        outcome: as text; empty before the end.
     """
 
     def __init__(self, chassis: Chassis, view: BusView, settings: CommandSettings) -> None:
@@ -155,10 +132,10 @@ class Stopper:
         self._bursts_off = self._partings = 0
         self._offered: list[Frame] = []
         self._is_released, self._returns, self._may_release = False, 0, False
-        self.is_over = True
-        self.is_paused = False
+        self.is_over = True  # nothing more is to be sent
+        self.is_paused = False  # nothing is sent, because the remote control has the robot
         self.frames = 0
-        self.outcome = ""
+        self.outcome = ""  # as text; empty before the end
 
     def begin(
         self,

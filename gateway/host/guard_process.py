@@ -264,19 +264,14 @@ _DONE: Final = (f"{_OURS}done: ", f"{_OURS}given up: ")
 
 
 class FormerGuard:
-    """Follows the guard of a gateway that died, by the lines in its note. A thread reads the disk.
-
-    Attributes:
-        is_stopping: it began a stop recently, and no outcome is noted yet.
-        says: the outcome; empty until it is known, and where the stop was over before this start.
-    """
+    """Follows the guard of a gateway that died, by the lines in its note. A thread reads the disk."""
 
     def __init__(self, note: StopNote, realtime_priority: int = 0) -> None:
         """Read the note once; while a stop is under way a thread with this priority reads it again."""
-        self.says = ""
+        self.says = ""  # the outcome; empty until it is known, and where the stop was over before this start
         self._realtime_priority = realtime_priority
         left_s = _left_s(note)
-        self.is_stopping = left_s > 0
+        self.is_stopping = left_s > 0  # it began a stop recently, and no outcome is noted yet
         self._until_s = time.monotonic() + left_s
         self._note = note
         self._closing = threading.Event()

@@ -111,16 +111,12 @@ class Aside(Generic[Value]):
 
 
 class StateNote:
-    """A file of one robot in ``gateway.state_dir``.
-
-    Attributes:
-        path: None if there is no state directory.
-    """
+    """A file of one robot in ``gateway.state_dir``."""
 
     ENDING: ClassVar[str]
 
     def __init__(self, path: Path | None) -> None:
-        self.path = path
+        self.path = path  # None if there is no state directory
 
     @classmethod
     def of(cls, settings: Settings, environment: Mapping[str, str] = os.environ) -> Self:

@@ -173,17 +173,12 @@ FileStamp = tuple[int, int]
 
 
 class Renewal:
-    """Watches the files that every installation writes.
-
-    Attributes:
-        is_taken: they were replaced, and the gateway must exit.
-        note: a restart is needed, in one line; else empty.
-    """
+    """Watches the files that every installation writes."""
 
     def __init__(self, settings: Settings, *, is_managed: bool) -> None:
         """Take the present files as those in use; ``is_managed``: a service manager restarts the gateway."""
-        self.is_taken = False
-        self.note = ""
+        self.is_taken = False  # they were replaced, and the gateway must exit
+        self.note = ""  # a restart is needed, in one line; else empty
         directory = directory_of(settings.authority)
         self._files = [directory / GRANT_FILE.format(who="robot"), directory / AUTHORITY_FILE]
         self._is_managed = is_managed

@@ -94,19 +94,15 @@ class Conditions(msgspec.Struct, frozen=True):
     """Conditions that the manual leaves open, or that depend on the place.
 
     Attributes:
-        slope_deg: positive with the nose up, in every heading.
         pedal_gain: share of the service brake that the brake pedal applies. The manual calls the pedal reserved.
-        motor_strength: share of the motor's greatest force.
-        parking_grip: share of the parking brake's grip; its feedback reads applied all the same.
-        parking_delay_s: time to apply or release the parking brake. Chosen.
     """
 
-    slope_deg: float = 0.0
+    slope_deg: float = 0.0  # positive with the nose up, in every heading
     payload_kg: float = 0.0
     pedal_gain: float = 0.0
-    motor_strength: float = 1.0
-    parking_delay_s: float = 0.05
-    parking_grip: float = 1.0
+    motor_strength: float = 1.0  # share of the motor's greatest force
+    parking_delay_s: float = 0.05  # time to apply or release the parking brake; chosen
+    parking_grip: float = 1.0  # share of the parking brake's grip; its feedback reads applied all the same
     stop_mode: StopMode = StopMode.BRAKES
 
     @property
@@ -137,18 +133,12 @@ _DIRECTION = {GearPosition.DRIVE: 1.0, GearPosition.REVERSE: -1.0}
 
 
 class Demand(msgspec.Struct, frozen=True):
-    """A command to the chassis, from CAN or from the remote control.
-
-    Attributes:
-        speed_mps: magnitude; the gear gives the direction.
-        angle_deg: left positive; None holds the angle.
-        pedal_percent: brake pedal; with a pedal gain, it cuts the drive.
-    """
+    """A command to the chassis, from CAN or from the remote control."""
 
     gear: GearPosition
-    speed_mps: float
-    angle_deg: float | None
-    pedal_percent: float
+    speed_mps: float  # magnitude; the gear gives the direction
+    angle_deg: float | None  # left positive; None holds the angle
+    pedal_percent: float  # brake pedal; with a pedal gain, it cuts the drive
     parked: bool
 
 
@@ -156,21 +146,17 @@ class Motion:
     """The moving chassis.
 
     Attributes:
-        parked: the parking brake is applied and the drive is cut; follows the demand with a delay.
-        gear: the engaged gear; the other direction engages only at standstill.
-        speed_mps: signed, forward positive.
-        angle_deg: steering angle, left positive.
         x_m: position; with ``y_m`` and ``yaw_rad`` (-pi to pi, left positive) the pose since the start.
     """
 
     def __init__(self, wheelbase_m: float, conditions: Conditions = NOMINAL) -> None:
         self._wheelbase_m = wheelbase_m
         self.conditions = conditions
-        self.parked = False
+        self.parked = False  # the parking brake is applied and the drive is cut; follows the demand with a delay
         self._parking_s = 0.0
-        self.gear = GearPosition.NEUTRAL
-        self.speed_mps = 0.0
-        self.angle_deg = 0.0
+        self.gear = GearPosition.NEUTRAL  # the engaged gear; the other direction engages only at standstill
+        self.speed_mps = 0.0  # signed, forward positive
+        self.angle_deg = 0.0  # steering angle, left positive
         self.x_m = 0.0
         self.y_m = 0.0
         self.yaw_rad = 0.0

@@ -118,18 +118,12 @@ class ChassisFault(msgspec.Struct, frozen=True):
 
 
 class FaultLine(msgspec.Struct, frozen=True):
-    """A fault and how long it lasts.
-
-    Attributes:
-        duration_ns: 0 if it has no end.
-        frames: it ends after this many frames of its message; 0 for no limit.
-        after_ns: delay after the start.
-    """
+    """A fault and how long it lasts."""
 
     fault: ChassisFault
-    duration_ns: int = 0
-    frames: int = 0
-    after_ns: int = 0
+    duration_ns: int = 0  # 0 if it has no end
+    frames: int = 0  # it ends after this many frames of its message; 0 for no limit
+    after_ns: int = 0  # delay after the start
 
 
 class FaultTextError(msgspec.Struct, frozen=True):
@@ -274,20 +268,14 @@ _NEVER_NS: Final = 2**63
 
 
 class _Active(msgspec.Struct):
-    """A fault in force.
-
-    Attributes:
-        frames_left: None without a limit.
-        passed: frames of its message so far, for a fault of every nth.
-        next_ns: due time of the next foreign frame.
-    """
+    """A fault in force."""
 
     fault: ChassisFault
     since_ns: int
     until_ns: int
-    frames_left: int | None
-    passed: int = 0
-    next_ns: int = _NEVER_NS
+    frames_left: int | None  # None without a limit
+    passed: int = 0  # frames of its message so far, for a fault of every nth
+    next_ns: int = _NEVER_NS  # due time of the next foreign frame
 
 
 _Slot = tuple[str, str | int]  # kind and target of a fault; a later fault in the same slot replaces the earlier

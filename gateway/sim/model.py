@@ -111,23 +111,18 @@ _OTHER: Final = {Variant.COARSE: Variant.FINE, Variant.FINE: Variant.COARSE}
 
 
 class SimulatedState(msgspec.Struct, frozen=True):
-    """The true state of the chassis, independent of its frames. For tests and demonstrations.
-
-    Attributes:
-        speed_mps: signed, forward positive.
-        ignored_frames: received frames that were no valid command.
-    """
+    """The true state of the chassis, independent of its frames. For tests and demonstrations."""
 
     mode: Mode
     variant: Variant
-    speed_mps: float
+    speed_mps: float  # signed, forward positive
     angle_deg: float
     x_m: float
     y_m: float
     yaw_rad: float
     mileage_m: float
     parking_status: ParkingStatus
-    ignored_frames: int
+    ignored_frames: int  # received frames that were no valid command
 
 
 class VirtualChassis:

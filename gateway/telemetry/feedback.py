@@ -96,18 +96,14 @@ class FeedbackStream:
 
 
 class FrameBatch:
-    """Collects frames until they are taken. Beyond its capacity the oldest are dropped and counted.
-
-    Attributes:
-        received: frames since the start, including dropped ones.
-    """
+    """Collects frames until they are taken. Beyond its capacity the oldest are dropped and counted."""
 
     def __init__(self, bus: str, capacity: int = BATCH_MAX_FRAMES) -> None:
         self._bus = bus
         self._frames: deque[Frame] = deque(maxlen=capacity)
         self._taken = 0
         self._sequence = 0
-        self.received = 0
+        self.received = 0  # frames since the start, including dropped ones
 
     def add(self, frame: Frame) -> None:
         self.received += 1

@@ -43,10 +43,7 @@ class Links(msgspec.Struct, frozen=True):
     """The bus, Zenoh and the guard, as the loop reports them to the core; most fields as in GatewayHealth.
 
     Attributes:
-        cpu_ns: processor time of the process since its start.
-        outside: remote ends of Zenoh connections that leave this computer.
         certificate_ends_s, grant_ends_s: expiry, seconds since 1970; None where there is none.
-        notes: texts on what needs attention.
     """
 
     bus_up: bool = False
@@ -55,7 +52,7 @@ class Links(msgspec.Struct, frozen=True):
     bus_drops: int = 0
     zenoh_peers: int = 0
     publish_failures: int = 0
-    cpu_ns: int = 0
+    cpu_ns: int = 0  # processor time of the process since its start
     guarded: bool = False
     guard_sends: bool = False
     guard_stops: int = 0
@@ -63,10 +60,10 @@ class Links(msgspec.Struct, frozen=True):
     is_behind: bool = False
     realtime: bool = False
     inbox_drops: int = 0
-    outside: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()  # remote ends of Zenoh connections that leave this computer
     certificate_ends_s: int | None = None
     grant_ends_s: int | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # texts on what needs attention
 
 
 class HealthMeter:

@@ -68,7 +68,6 @@ class PendingQuery:
 
     Attributes:
         rejected: replies that were not accepted; the owner removes them.
-        timed_out: it ended before all replies had arrived.
     """
 
     def __init__(self, accepts: Callable[[Received], bool] | None = None) -> None:
@@ -76,7 +75,7 @@ class PendingQuery:
         self._accepts = accepts
         self.rejected: deque[Received] = deque(maxlen=REPLIES_WAITING)
         self.is_over = False
-        self.timed_out = False
+        self.timed_out = False  # it ended before all replies had arrived
         self._arrived: deque[zenoh.Reply] = deque(maxlen=REPLIES_WAITING)
         self._ended: list[None] = []
         # Runs on Zenoh's thread for Python callbacks, and never blocks it.

@@ -75,11 +75,7 @@ _NUMBERS: Final = msgspec.msgpack.Decoder(_Numbers)
 
 
 class CommandInbox:
-    """Queues requests for the loop. Nothing raises or blocks once it is open.
-
-    Attributes:
-        drops: requests dropped unread since the start, because too many arrived.
-    """
+    """Queues requests for the loop. Nothing raises or blocks once it is open."""
 
     def __init__(
         self,
@@ -94,7 +90,7 @@ class CommandInbox:
             is_proven: verifies that a request is the lease holder's; None where nothing is signed.
             sieve: chooses the statements to verify in a tick; None without an authority.
         """
-        self.drops = 0
+        self.drops = 0  # requests dropped unread since the start, because too many arrived
         self._is_proven = is_proven
         self._session = session
         self._root, self._robot = settings.robot.root, settings.robot.name

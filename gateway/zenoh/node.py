@@ -97,14 +97,10 @@ NEIGHBOUR_TIMEOUT_S: Final = 3.0  # time in which a Zenoh node that holds our po
 
 
 class Replier:
-    """Sends replies on a separate thread: with its query's congestion control a reply may block.
-
-    Attributes:
-        drops: replies that were not sent, because too many waited.
-    """
+    """Sends replies on a separate thread: with its query's congestion control a reply may block."""
 
     def __init__(self, name: str) -> None:
-        self.drops = 0
+        self.drops = 0  # replies that were not sent, because too many waited
         self._replies: Queue[tuple[zenoh.Query, str, list[bytes], str, bytes]] = Queue(REPLIES_WAITING)
         self._ends = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -162,11 +158,7 @@ def _first(query: zenoh.Query) -> int:
 
 
 class ZenohNode:
-    """A gateway's Zenoh node. Nothing raises or blocks once it is open.
-
-    Attributes:
-        warning: about its start, for people; may be empty.
-    """
+    """A gateway's Zenoh node. Nothing raises or blocks once it is open."""
 
     def __init__(
         self,
@@ -180,7 +172,7 @@ class ZenohNode:
         self._signer = signer
         self._name_proof = name_proof
         self.failures = 0
-        self.warning = ""
+        self.warning = ""  # about its start, for people; may be empty
         self._session = session
         self._own: set[str] = set()
         self._puts: dict[str, Callable[..., Any]] = {}
@@ -295,18 +287,13 @@ class ZenohNode:
 
 
 class ZenohPlace(msgspec.Struct, frozen=True):
-    """The endpoints of a gateway on Zenoh.
-
-    Attributes:
-        listen: endpoints of its telemetry session; empty if it only dials out.
-        is_client: its sessions are clients, which do not listen.
-    """
+    """The endpoints of a gateway on Zenoh."""
 
     node: str
     connect: list[str]
-    listen: list[str] = []
+    listen: list[str] = []  # endpoints of its telemetry session; empty if it only dials out
     command_listen: list[str] = []
-    is_client: bool = False
+    is_client: bool = False  # its sessions are clients, which do not listen
 
     @property
     def outside(self) -> list[str]:
