@@ -233,7 +233,7 @@ _KNOWN_TEXTS: Final[dict[Reason, Text]] = {
         f"check the wheels and the setting chassis.variant; then {RESET}{ENGAGE}",
     ),
     Reason.FOUND_MOVING: Text(
-        "uncommanded motion, or a parking brake that was released",
+        "uncommanded motion",
         f"find out what moved it and check its parking brake, then {ENGAGE}",
     ),
     Reason.OTHER_COMMANDER: Text(

@@ -167,7 +167,7 @@ class Arbiter:
             engagement.forget_rest()
         if self.handover.is_obeyed_again(chassis, now_ns, is_taken=is_taken):
             # It may execute the command that it was left with again: motion never resumes automatically.
-            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "or about to move, by an earlier command")
+            engagement.begin_stop(Reason.FOUND_MOVING, now_ns, "it may execute an earlier command")
         elif (
             engagement.owes_stop
             and not is_taken
