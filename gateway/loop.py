@@ -157,17 +157,11 @@ class FormerGuardView(Protocol):
     says: str
 
 
-class Manager(Protocol):
-    """The service manager. Its methods never raise and never block."""
-
-    def alive(self, status: str) -> None:
-        """Report that the loop runs, with its state for people."""
-
-
 class LoopPorts(msgspec.Struct):
     """The ports of the loop. Inbox, guard and notes are None if the gateway only listens.
 
     Attributes:
+        manager: tells the service manager that the loop runs, with its state for people.
         latch_note: takes the latches each tick, and returns once why they could not be written.
         mileage_note: takes the mileage each tick, and returns once a question if it differs from the noted one.
     """
@@ -181,7 +175,7 @@ class LoopPorts(msgspec.Struct):
     has_realtime: Callable[[], bool] = lambda: False
     signed: SignedModePort | None = None
     notes: Callable[[], tuple[str, ...]] = tuple
-    manager: Manager | None = None
+    manager: Callable[[str], None] | None = None
     latch_note: Callable[[Mapping[Reason, str]], str] | None = None
     mileage_note: Callable[[float | None], str] | None = None
 
@@ -243,7 +237,7 @@ def run(ports: LoopPorts, core: Core, info: Callable[[], bytes], stopped: Callab
         sink.answer(info)
         # Last in the round, so that only a completed one feeds the watchdog.
         if ticks % SELDOM_TICKS == 0 and ports.manager is not None:
-            ports.manager.alive(_status(core, links))
+            ports.manager(_status(core, links))
         due_ns += TICK_NS * (1 + (now_ns - due_ns) // TICK_NS)
     if ports.guard is not None and core.command is not None:
         # The last beat: nothing is commanded now, so the guard has nothing to stop.

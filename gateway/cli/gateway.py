@@ -26,7 +26,7 @@ from gateway.host.guard_main import stop_alone
 from gateway.host.guard_process import FormerGuard, GuardLink, start_guard
 from gateway.host.notes import LatchNote, MileageNote, NoteClearer, RunNote, StopNote
 from gateway.host.process import ServiceManager, has_realtime, logging_aside, request_realtime
-from gateway.loop import LoopPorts, Manager, warn_of_bars
+from gateway.loop import LoopPorts, warn_of_bars
 from gateway.loop import run as run_loop
 from gateway.zenoh.inbox import CommandInbox, Joined, LateInbox, LateNode, open_inbox
 from gateway.zenoh.node import ZenohNode, ZenohPlace, client_place, open_node
@@ -216,11 +216,12 @@ def _open_inbox(settings: Settings, place: ZenohPlace, signed: SignedMode | None
     return open_inbox(settings, place, signed.authority.admission.may_be_holders, signed.sieve())
 
 
-def _manager(closing: ExitStack) -> Manager | None:
+def _manager(closing: ExitStack) -> Callable[[str], None] | None:
     manager = ServiceManager.of(os.environ)
-    if manager is not None:
-        closing.callback(manager.close)
-    return manager
+    if manager is None:
+        return None
+    closing.callback(manager.close)
+    return manager.alive
 
 
 def _look_at_own_files(settings: Settings, signed: SignedMode | None, place: ZenohPlace) -> None:

@@ -353,7 +353,7 @@ class Notices:
         self._commander_ns: int | None = None
 
     def look(self, chassis: ChassisState, now_ns: int, late_ns: int, *, is_idle: bool = False) -> Iterator[Event]:
-        """Yield the news of this tick. A late tick of an idle robot is no fault."""
+        """Yield the events of this tick. A late tick of an idle robot is no fault."""
         if late_ns > LATE_NS and now_ns - self._late_told_ns >= LATE_TOLD_NS:
             self._late_told_ns = now_ns
             severity = Severity.INFO if is_idle else Severity.WARNING

@@ -167,12 +167,11 @@ def test_the_service_manager_is_fed_by_each_tenth_round_that_was_done() -> None:
     fed: list[tuple[int, str]] = []
     bus = FakeBus([])
 
-    class FakeManager:
-        def alive(self, status: str) -> None:
-            fed.append((clock.now_ns, status))
-            bus.stalls = [1.0] * (len(fed) == 3)
+    def feed(status: str) -> None:
+        fed.append((clock.now_ns, status))
+        bus.stalls = [1.0] * (len(fed) == 3)
 
-    loop(bus, FakeZenoh(), lambda: len(fed) >= 5, manager=FakeManager())
+    loop(bus, FakeZenoh(), lambda: len(fed) >= 5, manager=feed)
     pauses_ms = [(after[0] - before[0]) / MS for before, after in pairwise(fed[:5])]
     assert pauses_ms[:2] == [100, 100]
     assert pauses_ms[2] > 1000
