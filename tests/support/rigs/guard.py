@@ -6,8 +6,10 @@ from typing import Any, Union
 import msgspec
 
 from gateway.chassis.cruiser.bursts import FrameMaker
+from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.gate import Gate
 from gateway.chassis.frame import Frame
+from gateway.chassis.layout import Encoder, Value
 from gateway.chassis.port import Actuation
 from gateway.choice.chassis import CHASSIS
 from gateway.guard.guardian import Guardian
@@ -30,12 +32,7 @@ class GuardRig:
     """Time passes in polls of 5 ms; the loop ticks in every second one, as long as it lives.
 
     Attributes:
-        takes: how many frames of a burst the bus takes.
-        told: the loop's command; None for silence.
         left: the loop's last command before its silence, if the chassis may follow it again.
-        see: changes a feedback frame for the guard.
-        mark: number of frames of guard and loop at the last mark.
-        fastest_mps: the robot's highest speed since then.
     """
 
     def __init__(self, variant: Variant = Variant.COARSE, settings: CommandSettings | None = None) -> None:
@@ -46,9 +43,9 @@ class GuardRig:
         self.gate = Gate(may_release=True)
         self.loop_lives = self.parent_lives = self.bus_up = True
         self.mute = False
-        self.takes = BURST
-        self.see: Callable[[Frame], Frame] = lambda frame: frame
-        self.told: Actuation | None = None
+        self.takes = BURST  # how many frames of a burst the bus takes
+        self.see: Callable[[Frame], Frame] = lambda frame: frame  # changes a feedback frame for the guard
+        self.told: Actuation | None = None  # the loop's command; None for silence
         self.left: Actuation | None = None
         self.told_ns = 0
         self.told_variant = variant
@@ -57,8 +54,8 @@ class GuardRig:
         self.sent: list[tuple[int, Frame]] = []
         self.by_loop: list[Frame] = []
         self.lines: list[str] = []
-        self.mark = (0, 0)
-        self.fastest_mps = 0.0
+        self.mark = (0, 0)  # number of frames of guard and loop at the last mark
+        self.fastest_mps = 0.0  # the robot's highest speed since then
         self._was_told = False
         self._last = DRIVING
 
@@ -87,6 +84,13 @@ class GuardRig:
                         setattr(self, knob, value)
                 case _:
                     step(self)
+
+    def pretend(self, name: str, **values: Value) -> None:
+        """Show the guard these values in place of a feedback message's."""
+        encoder, can_id = Encoder(load(self.variant)), load(self.variant).messages[name].can_id
+        self.see = lambda frame: (
+            encoder.encode(name, values, frame.data[6] >> 4) if frame.can_id == can_id else frame
+        )
 
     def set_mark(self) -> None:
         self.mark = (len(self.sent), len(self.by_loop))

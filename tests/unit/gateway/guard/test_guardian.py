@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.cruiser.gate import MOTION
 from gateway.chassis.cruiser.guard_view import ChassisView
-from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, Encoder, FrameDecoder, Value
 from gateway.chassis.port import AT_REST, Actuation, AuxiliaryFrame
 from gateway.choice.chassis import CHASSIS
@@ -143,13 +142,7 @@ def test_a_robot_that_coasts_in_mode_stop_is_told_the_parking_brake() -> None:
     """Row 'a robot in mode stop that is seen to move', by the guard too."""
     rig = driven()
     rig.loop_lives = rig.parent_lives = False
-    body = load(Variant.COARSE).messages["Auto_MileageAndBodyFeedback"].can_id
-    encoder = Encoder(load(Variant.COARSE))
-    rig.see = lambda frame: (
-        encoder.encode("Auto_MileageAndBodyFeedback", {"Valid": True, "Mode": "stop"}, frame.data[6] >> 4)
-        if frame.can_id == body
-        else frame
-    )
+    rig.pretend("Auto_MileageAndBodyFeedback", Valid=True, Mode="stop")
     parks = load(Variant.COARSE).messages["Auto_ParkingCmd"].can_id
     while not any(frame.can_id == parks and frame.data[1] for _, frame in rig.sent):
         rig.run(0.01)
@@ -427,25 +420,17 @@ def test_a_stop_begins_no_faster_than_the_robot_is_seen_to_be() -> None:
     assert 0 < (told_mps(rig) or 0) <= slowest_mps + 0.01
 
 
-@pytest.mark.parametrize("moves", [True, False])
-def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(*, moves: bool) -> None:
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("Auto_DriveFeedBack", {"Speed": 0.5}), ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})],
+)
+def test_a_guard_that_is_not_obeyed_says_so_and_leaves_the_parking_brake_told(
+    name: str, values: dict[str, Value]
+) -> None:
     """Row 'stop: neutral only behind an applied parking brake'."""
     rig = driven()
     rig.parent_lives = False
-    parking = load(Variant.COARSE).messages["Auto_ParkingFeedBack"].can_id
-    drive = load(Variant.COARSE).messages["Auto_DriveFeedBack"].can_id
-    encoder = Encoder(load(Variant.COARSE))
-    false_words: dict[int, tuple[str, dict[str, Value]]] = {
-        parking: ("Auto_ParkingFeedBack", {"ParkingStatus": "released"})
-    }
-    if moves:
-        false_words = {drive: ("Auto_DriveFeedBack", {"Speed": 0.5})}
-
-    def see(frame: Frame) -> Frame:
-        words = false_words.get(frame.can_id)
-        return frame if words is None else encoder.encode(*words, frame.data[6] >> 4)
-
-    rig.see = see
+    rig.pretend(name, **values)
     rig.run(GUARD_GIVES_UP_NS / S + 1)
     assert rig.guardian.is_ended
     told = {frame.can_id: frame.data for _, frame in rig.sent[-5:]}
