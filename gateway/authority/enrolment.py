@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import PurePath
 from string import ascii_lowercase, digits
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
 from cryptography import x509
@@ -196,26 +196,21 @@ def zenoh_configuration(
     if not protocols:
         raise ValueError("there is no endpoint of a router")
     is_router = role is _R.ROUTER
-    own_role = (_R.ROUTER,) if not is_router else ()
     rows = [row for row in access_table(root, robot or keys.ALL) if is_router or role in row.roles]
-    settings = ZenohSettings()
-    configuration = _nested(session_settings(settings, *(((), endpoints) if is_router else (endpoints, ()))))
-    configuration |= {"mode": "router" if is_router else "client"}
-    # zenohd always enables its admin space; the file decides only about reading and writing there.
-    configuration["adminspace"] = {"enabled": False, "permissions": {"read": False, "write": False}}
-    if is_router:
-        configuration["timestamping"] = {"enabled": True}
-    transport = configuration["transport"]
-    if not isinstance(transport, dict) or not isinstance(link := transport["link"], dict):
-        raise TypeError(transport)
-    link |= {
-        "protocols": list(protocols),
-        "rx": {"max_message_size": MESSAGE_MAX_BYTES},
-        "tls": tls_configuration(role, directory),
-    }
-    configuration["access_control"] = _access_control(rows, own_role)
-    configuration["low_pass_filter"] = _size_limits(root)
-    return configuration
+    entries = session_settings(ZenohSettings(), *(((), endpoints) if is_router else (endpoints, ())))
+    return _nested(
+        entries
+        | {
+            "mode": "router" if is_router else "client",
+            # zenohd always enables its admin space; the file decides only about reading and writing there.
+            "adminspace": {"enabled": False, "permissions": {"read": False, "write": False}},
+            "transport/link/protocols": list[Json](protocols),
+            "transport/link/rx": {"max_message_size": MESSAGE_MAX_BYTES},
+            "transport/link/tls": tls_configuration(role, directory),
+            "access_control": _access_control(rows, is_router=is_router),
+            "low_pass_filter": _size_limits(root),
+        }
+    )
 
 
 def tls_configuration(role: TransportRole, directory: PurePath) -> dict[str, Json]:
@@ -261,27 +256,25 @@ def _single(root: str, verb: str) -> Iterator[str]:
         yield f"{root}/{letter}$*/{COMMAND_CHUNK}/*/{verb}"
 
 
-def _access_control(rows: list[AccessRow], at_the_other_end: tuple[TransportRole, ...]) -> dict[str, Json]:
-    """Zenoh's form of the rows. Every subject names roles: one without names would match every node.
+def _access_control(rows: list[AccessRow], *, is_router: bool) -> dict[str, Json]:
+    """Zenoh's form of the rows. The roles are those at the other ends of the links: of the rows, or the router's.
 
-    Args:
-        at_the_other_end: the roles at the other end of the links; empty for the router, which uses those of the
-            rows.
+    Every subject names a role: one without names would match every node.
     """
     rules: list[Json] = [
         {
             "id": row.id,
             "permission": "allow",
-            "flows": [_TURNED[row.flow] if at_the_other_end else row.flow],
+            "flows": [row.flow if is_router else _TURNED[row.flow]],
             "messages": list(row.messages),
             "key_exprs": list(dict.fromkeys(row.keys)),
         }
         for row in rows
     ]
-    roles = at_the_other_end or tuple(dict.fromkeys(role for row in rows for role in row.roles))
+    roles = list(dict.fromkeys(role for row in rows for role in row.roles)) if is_router else [_R.ROUTER]
     policies: list[Json] = [
         {
-            "rules": [row.id for row in rows if at_the_other_end or role in row.roles],
+            "rules": [row.id for row in rows if not is_router or role in row.roles],
             "subjects": [role.value],
         }
         for role in roles
@@ -325,15 +318,12 @@ def _protocol(endpoint: str) -> str:
 
 def _nested(entries: dict[str, Json]) -> dict[str, Json]:
     """Values by path as nested tables, as in Zenoh's file."""
-    whole: dict[str, Json] = {}
+    whole: dict[str, Any] = {}
     for path, value in entries.items():
         *parents, last = path.split("/")
         place = whole
         for parent in parents:
-            inner = place.setdefault(parent, {})
-            if not isinstance(inner, dict):
-                raise TypeError(path)
-            place = inner
+            place = place.setdefault(parent, {})
         place[last] = value
     return whole
 

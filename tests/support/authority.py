@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.admission import SignedAdmission
 from gateway.authority.operator_proof import OperatorProof, new_lease_key
-from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor, trust_of
+from gateway.authority.robot_authority import AuthorityEffects, Kept, RobotAuthority, TimeFloor
 from gateway.authority.session import RobotSigner
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import Credentials, RawRequest
@@ -118,17 +118,12 @@ class Fleet:
 
 
 class AuthorityBench:
-    def __init__(
-        self,
-        fleet: Fleet | None = None,
-        kept: Kept | None = None,
-        **settings: Any,  # noqa: ANN401
-    ) -> None:
+    def __init__(self, fleet: Fleet | None = None, kept: Kept | None = None) -> None:
         self.fleet = fleet or Fleet()
         self.robot = Party("cruiser-1")
         self.fleet.authority.grant(self.robot, role=GrantRole.ROBOT, robots=["cruiser-1"])
         self.signer = RobotSigner(self.robot.private, b"boot no1")
-        given = Settings(authority=AuthoritySettings(mode="signed", **settings))
+        given = Settings(authority=AuthoritySettings(mode="signed"))
         admission = SignedAdmission(given, self.fleet.trust, self.signer, self._age)
         kept = kept or Kept()
         floor = TimeFloor(kept.floor_s, 0)
@@ -181,14 +176,6 @@ class AuthorityBench:
         said: dict[str, Any] = {"role": GrantRole.ROBOT, "robots": ["cruiser-1"]}
         (by or self.fleet.authority).grant(self.robot, **(said | changes))
         return self.own
-
-    def restarted(self) -> Trust:
-        """The trust after a restart with the stored state of the next tick."""
-        kept = self.tick().kept
-        assert kept is not None
-        trust = trust_of(self.fleet.trust, kept)
-        assert not isinstance(trust, Objection)
-        return trust
 
 
 class Pair:
