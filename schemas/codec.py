@@ -156,8 +156,6 @@ def understand(kind: type[Kind], payload: bytes) -> Understood[Kind] | PayloadFa
     except PAYLOAD_ERRORS as error:
         fault = PayloadFault(str(error))
     else:
-        if count_fields(payload) <= len(kind.__struct_fields__):
-            return Understood(message)
         try:
             return Understood(message, _unknown_fields(kind, payload))
         except (*PAYLOAD_ERRORS, TypeError) as error:  # from the name of an unknown field

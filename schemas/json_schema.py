@@ -29,8 +29,8 @@ FILE_SUFFIX: Final = ".schema.json"
 Schema = dict[str, Any]
 Kind = type[Message] | type[Request] | type[Reply] | type[RecorderReply]
 
+_BYTES_ABOUT: Final = "MessagePack bin; base64 text where the message is written as JSON."
 _BYTES: Final[Schema] = {
-    "description": "MessagePack bin; base64 text where the message is written as JSON.",
     "contentEncoding": "base64",
     "not": {"type": ["array", "boolean", "null", "number", "object"]},
 }
@@ -139,7 +139,7 @@ def _unwrapped(part: Mapping[str, Any]) -> tuple[Schema, str, str]:
     bare = dict(part)
     unit, about = bare.pop(UNIT_KEYWORD, ""), bare.pop("description", "")
     if bare.get("contentEncoding") == "base64":
-        return {key: value for key, value in _BYTES.items() if key != "description"}, "", _BYTES["description"]
+        return dict(_BYTES), "", _BYTES_ABOUT
     if "items" in bare:
         bare["items"], unit, about = _unwrapped(bare["items"])
     elif "anyOf" in bare:

@@ -72,26 +72,13 @@ def zenoh_rules(profiles: Sequence[str], root: str, robot: str) -> dict[str, Any
     items: list[dict[str, Any]] = []
     for number, one in enumerate(profiles):
         interface, _, profile = one.rpartition("=")
-        rates = PROFILES[profile]
-        for name, messages, rules in (
-            ("slower", ["put"], [_rule(root, robot, subject, hz) for subject, hz in rates.items() if hz]),
-            (
-                "none",
-                ["put", "reply"],
-                [_rule(root, robot, subject, 0) for subject, hz in rates.items() if not hz],
-            ),
-        ):
+        where = {} if interface == EVERY_INTERFACE else {"interfaces": [interface]}
+        rates = PROFILES[profile].items()
+        for name, messages, is_sent in (("slower", ["put"], True), ("none", ["put", "reply"], False)):
+            rules = [_rule(root, robot, subject, hz) for subject, hz in rates if (hz > 0) is is_sent]
             if rules:
-                where = {} if interface == EVERY_INTERFACE else {"interfaces": [interface]}
-                items.append(
-                    {
-                        "id": f"profile-{number}-{name}",
-                        "flows": ["egress"],
-                        "messages": messages,
-                        "rules": rules,
-                        **where,
-                    }
-                )
+                head = {"id": f"profile-{number}-{name}", "flows": ["egress"]}
+                items.append({**head, "messages": messages, "rules": rules, **where})
     return {DOWNSAMPLING: items, **LINK_SETTINGS} if items else {}
 
 

@@ -31,6 +31,7 @@ from msgspec import Meta
 from schemas import keys
 from schemas.authority.proof import (
     ALGORITHM,
+    SIGNATURE_LINE,
     GrantRole,
     KeyHex,
     ProofKind,
@@ -233,9 +234,7 @@ SHUT_OUT_FILE: Final = CERTIFICATE_FILE.format(who=_R.NOTHING.value)  # of the r
 
 def _published(robot: str) -> tuple[str, ...]:
     """Return the key expressions under which a robot publishes, and those of its histories."""
-    parts = (re.sub(r"[^/]+", "*", rest) for rest in (subject.name.partition("/")[2] for subject in SUBJECTS))
-    firsts = (subject.name.partition("/")[0] for subject in SUBJECTS)
-    names = dict.fromkeys("/".join(filter(None, pair)) for pair in zip(firsts, parts, strict=True))
+    names = dict.fromkeys(re.sub(r"/[^/]+", "/*", subject.name) for subject in SUBJECTS)
     return (*(f"{robot}/{name}" for name in names), *_histories(robot))
 
 
@@ -504,7 +503,7 @@ def bundle_text(bundle: Bundle, private: Ed25519PrivateKey) -> bytes:
 def read_bundle(text: bytes, now_s: int) -> Bundle:
     """A bundle whose signature and grant were checked against the authority that the bundle names."""
     body, _, proof = text.rstrip(b"\n").partition(b"\n")
-    match = _PROOF.fullmatch(proof)
+    match = SIGNATURE_LINE.fullmatch(proof)
     bundle = _decoded(body, Bundle, "bundle")
     if match is None:
         raise EnrolmentError("it is not signed")
@@ -563,6 +562,3 @@ def _decoded(text: bytes, kind: type[_T], what: str) -> _T:
 
 def _signed(body: bytes) -> bytes:
     return signed_bytes(ProofKind.STATEMENT, b"bundle", body)
-
-
-_PROOF: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")

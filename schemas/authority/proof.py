@@ -303,7 +303,7 @@ def read_chain(text: bytes) -> list[Signed] | StatementFault:
         return StatementFault(f"it has more than {STATEMENTS_MAX} statements")
     chain: list[Signed] = []
     for body, proof in zip(lines[::2], lines[1::2], strict=True):
-        match = _PROOF.fullmatch(proof)
+        match = SIGNATURE_LINE.fullmatch(proof)
         if match is None:
             return StatementFault("a statement is not followed by its signature")
         try:
@@ -318,6 +318,6 @@ def chain_text(chain: Iterable[Signed]) -> str:
     return "".join(signed.text() for signed in chain)
 
 
-_PROOF: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")
+SIGNATURE_LINE: Final = re.compile(rb"ed25519 ([0-9a-f]{64}) ([0-9a-f]{128})")
 _ENCODER: Final = msgspec.json.Encoder()
 _DECODER: Final = msgspec.json.Decoder(Statement)
