@@ -81,31 +81,7 @@ def read_sample(received: Received) -> SampleRead | None:
     return SampleRead(parts, read.message, tuple(f"{subject.name}: {one}" for one in read.unknown))
 
 
-class NewerWords:
-    """Counts words and fields of a newer version that this one does not know."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-
-    def note(self, unknown: tuple[str, ...]) -> list[str]:
-        """Count the unknown words of a sample; return the new ones, up to a bound."""
-        new = [one for one in unknown if one not in self.counts][: max(0, NEWER_WORDS_MAX - len(self.counts))]
-        self.counts.update(one for one in unknown if one in self.counts or one in new)
-        return new
-
-    @property
-    def text(self) -> str:
-        """All unknown words in one line; empty if there are none."""
-        shown = ", ".join(sorted(self.counts)[:NEWER_WORDS_SHOWN])
-        return (
-            f"{THIS_SIDE} does not know what a newer version sent ({shown}): upgrade {THIS_SIDE}" if shown else ""
-        )
-
-
-NEWER_WORDS_MAX: Final = 64  # unknown words that are counted; the words are the sender's, and so may be any number
-NEWER_WORDS_SHOWN: Final = 4
-
-
+NEWER_WORDS_MAX: Final = 4  # unknown words of a sender that are shown
 STATE_STALE_NS: Final = 1_000_000_000  # a state, due every 50 ms, is no longer shown after 1 s
 HEALTH_STALE_NS: Final = 3_500_000_000  # health is due every second; two may be lost
 
@@ -184,25 +160,32 @@ class Source:
 
     Attributes:
         unreadable: why the last sample could not be read; empty if it could.
-        newer: unknown words of a newer version.
     """
 
     def __init__(self) -> None:
         self.connected = False
         self.heard_ns = 0
         self.unreadable = ""
-        self.newer = NewerWords()
+        self._newer: set[str] = set()
         self._newest: dict[type[Message], tuple[Message, int]] = {}
 
     def receive(self, sample: SampleRead, now_ns: int) -> None:
         """Store a message; an unreadable one changes no value."""
         message = sample.message
-        self.newer.note(sample.unknown)
+        self._newer.update(sorted({*sample.unknown} - self._newer)[: NEWER_WORDS_MAX - len(self._newer)])
         if isinstance(message, PayloadFault):
             self.unreadable = message.detail
             return
         self.unreadable = ""
         self._newest[type(message)] = message, now_ns
+
+    @property
+    def newer(self) -> str:
+        """The unknown words of a newer version, as text; empty if there are none."""
+        words = ", ".join(sorted(self._newer))
+        return (
+            f"{THIS_SIDE} does not know words of a newer version ({words}): upgrade {THIS_SIDE}" if words else ""
+        )
 
     def fresh(self, kind: type[M], now_ns: int) -> M | None:
         """Return the newest message of a class; None if there is none, or it is outdated."""
@@ -310,7 +293,7 @@ class Fleet:
             health_age_s=known.age_s(GatewayHealth, now_ns),
             unreadable=known.unreadable,
             linked=self.linked,
-            newer=known.newer.text,
+            newer=known.newer,
         )
 
 

@@ -11,11 +11,13 @@ from rich.console import Console, Group, RenderableType
 from gateway.client import fleet
 from gateway.client.fleet import (
     HEALTH_STALE_NS,
+    NEWER_WORDS_MAX,
     STATE_STALE_NS,
     Bounds,
     Fleet,
-    NewerWords,
     RobotStatus,
+    SampleRead,
+    Source,
     alarm,
     list_view,
     read_reply,
@@ -167,18 +169,17 @@ def test_a_reply_of_a_newer_robot_is_read_as_far_as_it_is_known(command: Command
 
 
 @given(grown=grown_messages())
-def test_what_a_newer_sender_says_is_read_and_counted(grown: tuple[Subject, Message, tuple[str, ...]]) -> None:
+def test_what_a_newer_sender_says_is_read(grown: tuple[Subject, Message, tuple[str, ...]]) -> None:
     subject, message, path = grown
     key = f"fleet/{'@recorder/' if subject in RECORDER_SUBJECTS else ''}a/{subject.name.format(bus='can0')}"
-    words = NewerWords()
+    source = Source()
     for word in (NEW_WORD, NEW_WORD, "another"):
         sample = read_sample(Received(key, subject.encoding, with_new_word(message, path, word)))
         assert sample is not None
         assert isinstance(sample.message, subject.type)
-        words.note(sample.unknown)
-    assert sorted(words.counts.values()) == [1, 2]
-    assert NEW_WORD in words.text
-    assert "upgrade this program" in words.text
+        source.receive(sample, START_NS)
+    assert source.newer.count(NEW_WORD) == source.newer.count("another") == 1
+    assert "upgrade this program" in source.newer
     older = read_sample(Received(key, newer(subject.encoding, -1), b""))
     assert older is not None
     assert isinstance(older.message, PayloadFault)
@@ -187,12 +188,13 @@ def test_what_a_newer_sender_says_is_read_and_counted(grown: tuple[Subject, Mess
     )
 
 
-def test_new_words_are_counted_up_to_a_bound() -> None:
-    words = NewerWords()
+def test_new_words_are_stored_up_to_a_bound() -> None:
+    sample = read_sample(received(STATE))
+    assert sample is not None
+    source = Source()
     for number in range(1000):
-        words.note((f"reason {number}",))
-    assert (len(words.counts), len(words.text) < 300) == (64, True)
-    assert words.note(("reason 0", "reason 2000")) == []
+        source.receive(SampleRead(sample.parts, STATE, (f"reason {number}",)), START_NS)
+    assert source.newer.count("reason") == NEWER_WORDS_MAX
 
 
 def test_a_reply_of_another_schema_is_a_fault() -> None:
