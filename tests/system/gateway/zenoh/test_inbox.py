@@ -12,9 +12,21 @@ import zenoh
 
 from gateway.command.flow import PendingReply
 from gateway.command.rulings import RawRequest
+from gateway.telemetry.samples import Received
 from gateway.zenoh import inbox as zenoh_inbox
-from gateway.zenoh.inbox import DRIVES_WAITING, STOPS_WAITING, VERBS_WAITING, CommandInbox, open_inbox
-from gateway.zenoh.node import ZenohPlace, open_node
+from gateway.zenoh.client import PendingQuery, declare_events, open_local_router, receive
+from gateway.zenoh.inbox import (
+    DRIVES_WAITING,
+    STOPS_WAITING,
+    VERBS_WAITING,
+    CommandInbox,
+    Joined,
+    LateInbox,
+    LateNode,
+    open_inbox,
+)
+from gateway.zenoh.node import ZenohPlace, client_place, open_node
+from schemas.codec import Sample
 from schemas.command_line import CommandError
 from schemas.settings import (
     DRIVES_PER_TICK,
@@ -25,7 +37,7 @@ from schemas.settings import (
     Settings,
     ZenohSettings,
 )
-from schemas.subjects import BY_VERB, COMMANDS, STOP_VERB, Asking, Command
+from schemas.subjects import BY_NAME, BY_VERB, COMMANDS, KEPT_FIRST, STOP_VERB, Asking, Command
 from schemas.zenoh_session import close_session, open_session
 from tests.support.fakes.peer import free_endpoint
 from tests.support.newer import newer
@@ -346,3 +358,48 @@ def test_a_command_of_another_version_says_so(bench: Bench, command: Command) ->
         "",
         "",
     ]
+
+
+def test_what_a_node_publishes_before_its_router_is_there_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The journal and events do; states do not."""
+    monkeypatch.setattr(zenoh_inbox, "AGAIN_S", 0.01)
+    endpoint = free_endpoint()
+    settings = Settings(zenoh=ZenohSettings(mode="client", connect=[endpoint]))
+
+    def join() -> Joined:
+        node, place = open_node(settings)
+        return node, open_inbox(settings, place)
+
+    def info() -> bytes:
+        return b"\x80"
+
+    assert client_place(settings).connect == [endpoint]
+    inbox = LateInbox()
+    with closing(LateNode(join, inbox, "no answer")) as node, closing(inbox):
+        for subject, payload in (("journal", b"\x01"), ("safety/event", b"\x02"), ("state", b"\x03")):
+            node.publish(Sample(subject, payload))
+        node.answer(info)
+        assert (node.peers(), node.failures) == (0, 0)
+        assert (inbox.drain(""), inbox.statements(), inbox.drops, inbox.inbox) == ([], [], 0, None)
+        with (
+            closing(open_local_router(endpoint)),
+            open_session(ZenohSettings(mode="client"), [endpoint], []) as peer,
+        ):
+            events = declare_events(peer, "fleet/cruiser-1/safety/event", 10)
+            states = peer.declare_subscriber("fleet/cruiser-1/state", zenoh.handlers.RingChannel(10))
+            wait_until(lambda: node.peers() == 1, lambda: node.answer(info))
+            assert node.notes() == ()
+            assert inbox.inbox is not None
+            received = list[object]()
+            event = Received("fleet/cruiser-1/safety/event", BY_NAME["safety/event"].encoding, b"\x02")
+            wait_until(lambda: event in received, lambda: received.extend(receive(events.try_recv, 1)))
+            question, found = PendingQuery(), list[bytes]()
+            peer.get(f"fleet/cruiser-1/journal?{KEPT_FIRST}=0", question.handler, timeout=10)
+
+            def ask() -> None:
+                node.answer(info)
+                found.extend(one.payload for one in question.poll())
+
+            wait_until(lambda: found == [b"\x01"], ask)
+            node.publish(Sample("state", b"\x04"))
+            wait_until(lambda: (one := states.try_recv()) is not None and one.payload.to_bytes() == b"\x04")
