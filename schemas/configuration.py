@@ -71,9 +71,7 @@ def write_value(value: object) -> str:
     match value:
         case bool():
             return "true" if value else "false"
-        case int():
-            return str(value)
-        case float():
+        case int() | float():
             return repr(value)  # Python and TOML write inf, nan and 1e+16 alike.
         case str():
             return write_string(value)

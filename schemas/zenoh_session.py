@@ -90,7 +90,40 @@ def session_settings(
         CONNECT: bool(connect),
         LISTEN: True,
     }
-    entries = _entries(settings, connect, listen) | dict(own or {})
+    entries: dict[str, Json] = {
+        MODE: settings.mode,
+        CONNECT: list(connect),
+        # For each mode, since the file may set it.
+        CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 0},
+        "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
+        "connect/retry": {
+            "period_init_ms": RECONNECT_MIN_MS,
+            "period_max_ms": RECONNECT_MAX_MS,
+            "period_increase_factor": 2,
+        },
+        LISTEN: list(listen),
+        "listen/timeout_ms": 0,
+        "listen/exit_on_failure": True,
+        MULTICAST: False,
+        GOSSIP: True,
+        SCOUTING: SCOUTING_MS,
+        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
+        "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,
+        "transport/unicast/accept_pending": ACCEPT_PENDING,
+        # A process that shares memory with another can fill it, and can kill the other by truncating it.
+        "transport/shared_memory/enabled": False,
+        LEASE: settings.lease_ms,
+        "transport/link/tx/keep_alive": 4,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        # With Zenoh's default of one batch, a command is dropped while the one before it is being sent.
+        "transport/link/tx/queue/size/interactive_high": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/data": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/data_low": QUEUE_BATCHES,
+        "transport/link/tx/queue/size/background": QUEUE_BATCHES,
+        "timestamping/enabled": True,
+        **(own or {}),
+    }
     return {path: value for path, value in entries.items() if given.get(path) or not says(path)}
 
 
@@ -384,39 +417,3 @@ def _parts(endpoint: str) -> re.Match[str]:
         fault = "has no port" if "/" in endpoint else "is not an endpoint, such as tcp/127.0.0.1:7447"
         raise ValueError(f"{plain(endpoint)} {fault}")
     return parts
-
-
-def _entries(settings: ZenohSettings, connect: Sequence[str], listen: Sequence[str]) -> dict[str, Json]:
-    return {
-        MODE: settings.mode,
-        CONNECT: list(connect),
-        # For each mode, since the file may set it.
-        CONNECT_TIMEOUT: {"router": -1, "peer": -1, "client": 0},
-        "connect/exit_on_failure": {"router": False, "peer": False, "client": True},
-        "connect/retry": {
-            "period_init_ms": RECONNECT_MIN_MS,
-            "period_max_ms": RECONNECT_MAX_MS,
-            "period_increase_factor": 2,
-        },
-        LISTEN: list(listen),
-        "listen/timeout_ms": 0,
-        "listen/exit_on_failure": True,
-        MULTICAST: False,
-        GOSSIP: True,
-        SCOUTING: SCOUTING_MS,
-        "transport/unicast/open_timeout": OPEN_TIMEOUT_MS,
-        "transport/unicast/accept_timeout": OPEN_TIMEOUT_MS,
-        "transport/unicast/accept_pending": ACCEPT_PENDING,
-        # A process that shares memory with another can fill it, and can kill the other by truncating it.
-        "transport/shared_memory/enabled": False,
-        LEASE: settings.lease_ms,
-        "transport/link/tx/keep_alive": 4,
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-        # With Zenoh's default of one batch, a command is dropped while the one before it is being sent.
-        "transport/link/tx/queue/size/interactive_high": QUEUE_BATCHES,
-        "transport/link/tx/queue/size/data_high": QUEUE_BATCHES,
-        "transport/link/tx/queue/size/data": QUEUE_BATCHES,
-        "transport/link/tx/queue/size/data_low": QUEUE_BATCHES,
-        "transport/link/tx/queue/size/background": QUEUE_BATCHES,
-        "timestamping/enabled": True,
-    }

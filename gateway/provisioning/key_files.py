@@ -25,7 +25,6 @@ import msgspec
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import (
@@ -37,7 +36,6 @@ from cryptography.hazmat.primitives.serialization import (
     PublicFormat,
     load_pem_private_key,
 )
-from cryptography.x509 import Certificate
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from gateway.authority.enrolment import (
@@ -251,7 +249,7 @@ def _pem(made: x509.Certificate | x509.CertificateSigningRequest) -> str:
     return made.public_bytes(Encoding.PEM).decode()
 
 
-PrivateKey = Ed25519PrivateKey | EllipticCurvePrivateKey
+PrivateKey = Ed25519PrivateKey | ec.EllipticCurvePrivateKey
 _T = TypeVar("_T")
 
 STANDBY_FILE: Final = "standby.pub"
@@ -360,9 +358,9 @@ class KeyStore:
             raise self._other_kind(name, cure)
         return key
 
-    def p256(self, name: str, cure: str) -> EllipticCurvePrivateKey:
+    def p256(self, name: str, cure: str) -> ec.EllipticCurvePrivateKey:
         key = self._key(name, cure)
-        if not isinstance(key, EllipticCurvePrivateKey):
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise self._other_kind(name, cure)
         return key
 
@@ -512,7 +510,7 @@ def role_of(file: Path) -> str:
     return certificate_role(files.certificate) if files else ""
 
 
-def _read(path: Path, cure: str) -> list[Certificate]:
+def _read(path: Path, cure: str) -> list[x509.Certificate]:
     try:
         return read_certificates(read_input(path, cure).decode(errors="replace"))
     except EnrolmentError as error:
