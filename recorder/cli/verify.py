@@ -50,7 +50,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     codes = list[int]()
     with progress_bar("verifying", asked.bytes, stopped, prints=True) as progress:
         for report in verify_logs(asked.logs, asked.faults, [keys.trust for keys in given.values()], progress):
-            codes.append(code_of(report))
+            codes.append(
+                ExitCode.FAILURE if report.is_broken else ExitCode.OK if report.is_proven else ExitCode.PARTIAL
+            )
             text = msgspec.json.encode(report).decode() if arguments.json else describe(report)
             sys.stdout.write(f"{text}\n")
     codes.append(end_with(asked.faults))
@@ -62,12 +64,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             f"{plain(str(path))}: keys {keys_fingerprint(keys)}\n" for path, keys in given.items()
         )
     return worst(codes)
-
-
-def code_of(report: RobotProofReport) -> ExitCode:
-    if report.is_broken:
-        return ExitCode.FAILURE
-    return ExitCode.OK if report.is_proven else ExitCode.PARTIAL
 
 
 def read_authority(path: Path) -> AuthorityKeys:

@@ -292,17 +292,16 @@ class LogWriter:
                 if self._queue and isinstance(self._queue.head, WriteChunk) and not self._has_room():
                     self._changed.wait()
                     continue
-                if self._queue and self._is_stuck(self._queue.head):
-                    # It waits in the queue, so that it may be dropped as the oldest.
-                    self._pause()
+                if self._queue and self._is_faulty:
+                    head = self._queue.head
+                    # A chunk without a file waits in the queue, so that it may be dropped as the oldest.
+                    if isinstance(head, WriteChunk) and self._chains[head.log].file is None:
+                        self._pause()
                 if self._queue:
                     return self._queue.take()
                 if self._is_closing:
                     return None
                 self._changed.wait()
-
-    def _is_stuck(self, action: LogAction) -> bool:
-        return self._is_faulty and isinstance(action, WriteChunk) and self._chains[action.log].file is None
 
     def _has_room(self) -> bool:
         """True if more may be written before the next sync. Starts syncs if not."""

@@ -99,11 +99,6 @@ def _type_name(kind: type) -> str:
     return f".{SCHEMA_PREFIX}.{kind.__name__}"
 
 
-def _enum_prefix(kind: type[Enum]) -> str:
-    # The names of an enumeration's values belong to the package in protobuf, so they carry the enumeration's.
-    return snake_case(kind.__name__).upper()
-
-
 class _Files:
     """The files of the classes added so far, each after its dependencies."""
 
@@ -126,8 +121,9 @@ class _Files:
             return
         file = FileDescriptorProto(name=_file_name(kind), package=SCHEMA_PREFIX, syntax="proto3")
         enum: EnumDescriptorProto = file.enum_type.add(name=kind.__name__)
+        # The names of an enumeration's values belong to the package in protobuf, so they carry the enumeration's.
         for number, member in enumerate(kind):
-            enum.value.add(name=f"{_enum_prefix(kind)}_{member.name}", number=number)
+            enum.value.add(name=f"{snake_case(kind.__name__).upper()}_{member.name}", number=number)
         self.by_class[kind] = file
 
     def _add_field(

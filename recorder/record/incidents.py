@@ -78,14 +78,15 @@ class Incidents:
         self.about = {"at_ns": str(wall_ns), "because": because}
         return [
             OpenLog(self.log, self._name, wall_ns, is_incident=True),
-            self._link_to(file),
+            *self.link_to(file),
             *(WriteChunk(self.log, chunk) for _, chunk in self._ring),
             SyncLog(self.log),
         ]
 
     def link_to(self, file: str) -> list[LogAction]:
         """Name the file in which the log continues, if an incident is open."""
-        return [self._link_to(file)] if self.is_open else []
+        metadata = {**self.about, "file": file}
+        return [WriteMetadata(self.log, INCIDENT_NAME, metadata, lasts=True)] if self.is_open else []
 
     def is_over(self, now_ns: int) -> bool:
         return self._until_ns is not None and now_ns >= self._until_ns
@@ -95,9 +96,6 @@ class Incidents:
             return []
         self._until_ns = None
         return [CloseLog(self.log)]
-
-    def _link_to(self, file: str) -> WriteMetadata:
-        return WriteMetadata(self.log, INCIDENT_NAME, {**self.about, "file": file}, lasts=True)
 
 
 def trim_rings(all_incidents: Iterable[Incidents], now_ns: int, limit_bytes: int) -> None:

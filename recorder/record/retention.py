@@ -90,11 +90,8 @@ def judge(entries: Sequence[LogEntry], free_bytes: int, limits: DiskLimits, *, i
     """Decide which logs to delete, and what may be written."""
     used = sum(entry.bytes for entry in entries)
     wanted = _wanted(used, free_bytes, limits, is_full=is_full)
-    # Incidents of unknown robots, and old uploaded ones, count as logs.
     entries = [
-        msgspec.structs.replace(entry, is_incident=False)
-        if _is_of_stranger(entry, limits) or _is_safe_incident(entry, limits)
-        else entry
+        msgspec.structs.replace(entry, is_incident=False) if _counts_as_log(entry, limits) else entry
         for entry in entries
     ]
     incident_bytes = sum(entry.bytes for entry in entries if entry.is_incident)
@@ -146,13 +143,11 @@ def _is_worth(wanted: int, closed: Iterable[LogEntry], being_written: Iterable[L
     return closed_bytes < wanted <= closed_bytes + open_bytes and open_bytes >= ROLL_BYTES
 
 
-def _is_of_stranger(entry: LogEntry, limits: DiskLimits) -> bool:
-    return entry.is_incident and not entry.is_open and bool(limits.known) and entry.robot not in limits.known
-
-
-def _is_safe_incident(entry: LogEntry, limits: DiskLimits) -> bool:
-    """True of an uploaded incident that is old enough to be deleted."""
-    return entry.is_incident and entry.is_safe and not entry.is_open and entry.age_s >= limits.keep_incidents_s
+def _counts_as_log(entry: LogEntry, limits: DiskLimits) -> bool:
+    """True of an incident of an unknown robot, or an old uploaded one."""
+    is_stranger = bool(limits.known) and entry.robot not in limits.known
+    is_old = entry.is_safe and entry.age_s >= limits.keep_incidents_s
+    return entry.is_incident and not entry.is_open and (is_stranger or is_old)
 
 
 def _in_turn(entries: Iterable[LogEntry], takes: Counter[str], limits: DiskLimits) -> Iterator[LogEntry]:

@@ -190,9 +190,14 @@ class Parts:
                 row_group_size=rows.num_rows,
                 compression=COMPRESSION,
                 compression_level=COMPRESSION_LEVEL,
-                use_dictionary=[name for name, kind in kinds.items() if _is_text(kind)],
+                use_dictionary=[
+                    name for name, kind in kinds.items() if _types.is_dictionary(kind) or _types.is_string(kind)
+                ],
+                # Times and counts mostly rise in small steps.
                 column_encoding={
-                    name: "DELTA_BINARY_PACKED" for name, kind in kinds.items() if _is_whole_number(kind)
+                    name: "DELTA_BINARY_PACKED"
+                    for name, kind in kinds.items()
+                    if _types.is_integer(kind) or _types.is_timestamp(kind)
                 },
             )
             self.closed.append(
@@ -223,15 +228,6 @@ def _escaped(text: str) -> str:
         digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()[:16]
         name = f"{name[:NAME_MAX].rpartition('%')[0] or name[:NAME_MAX]}~{digest}"
     return name or NO_VALUE
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_dictionary(kind) or pa.types.is_string(kind))
-
-
-def _is_whole_number(kind: pa.DataType) -> bool:
-    """Times and counts, which mostly rise in small steps."""
-    return bool(pa.types.is_integer(kind) or pa.types.is_timestamp(kind))
 
 
 class ExportRange(msgspec.Struct, frozen=True):

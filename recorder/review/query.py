@@ -265,7 +265,9 @@ def answer(
                 connection.execute("SET TimeZone = 'UTC'")
                 _check(connection, sql)
                 source.declare(connection, _names_in(connection, sql), Path(scratch))
-                _shut_in(connection, [scratch, *source.directories])
+                # Statements and logs are untrusted.
+                connection.execute("SET allowed_directories = $1", [[scratch, *source.directories]])
+                connection.execute("SET enable_external_access = false")
                 connection.execute("SET lock_configuration = true")
                 relation = run(partial(connection.sql, params=parameters), sql)
                 rows = None if relation is None else run(relation.to_arrow_reader, BATCH_ROWS)
@@ -321,12 +323,6 @@ def _check(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
     """Refuse anything but SELECT: DuckDB lets a statement write wherever it may read."""
     if any(one.type is not duckdb.StatementType.SELECT for one in connection.extract_statements(sql)):
         raise CommandError("the statement is not a SELECT", ExitCode.USAGE)
-
-
-def _shut_in(connection: duckdb.DuckDBPyConnection, directories: list[str]) -> None:
-    """Restrict the statement to these directories: statements and logs are untrusted."""
-    connection.execute("SET allowed_directories = $1", [directories])
-    connection.execute("SET enable_external_access = false")
 
 
 def asks_catalog(sql: str) -> bool:

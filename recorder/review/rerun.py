@@ -106,7 +106,8 @@ class Tape:
 
     def _waits(self) -> bool:
         """Read another journal of the run; False if there is none, or too many wait."""
-        if self._next is not None or self._is_full:
+        held_bytes = sum(len(one.inputs) for one in self._held.values())
+        if self._next is not None or len(self._held) >= HELD_MAX or held_bytes > HELD_BYTES:
             return False
         journal = self._read()
         if journal is None:
@@ -117,10 +118,6 @@ class Tape:
         if journal.first >= self._reached:
             self._held.setdefault(journal.first, journal)
         return True
-
-    @property
-    def _is_full(self) -> bool:
-        return len(self._held) >= HELD_MAX or sum(len(one.inputs) for one in self._held.values()) > HELD_BYTES
 
     def _read(self) -> Journal | None:
         """The next journal of an unfinished run."""

@@ -238,10 +238,6 @@ class _Side:
         if mean_mps > STANDSTILL_MPS:
             self.journey.moving_s += passed_s
 
-    def take_event(self, event: SafetyEvent) -> None:
-        if event.kind is EventKind.STOP:
-            self.journey.stops.append(StopMade(event.time_ns, event.reason.value, event.operator, event.text))
-
 
 class _RunsCompared:
     """The comparison of both runs; ``start_ns`` and ``end_ns`` are those of the states, 0 before the first."""
@@ -262,8 +258,9 @@ class _RunsCompared:
                 self.start_ns = self.start_ns or message.time_ns
                 self.end_ns = message.time_ns
                 side.take_state(message)
-            case SafetyEvent():
-                side.take_event(message)
+            case SafetyEvent(kind=EventKind.STOP):
+                stop = StopMade(message.time_ns, message.reason.value, message.operator, message.text)
+                side.journey.stops.append(stop)
             case Decision():
                 self._take_decision(message, is_other=is_other)
             case _:

@@ -8,7 +8,6 @@ import zenoh
 
 from recorder.replay import ReplaySample, ZenohOutlet
 from schemas import keys, zenoh_session
-from schemas.command_line import ExitCode
 from schemas.decisions import SafetyEvent, SafetyState
 from schemas.messages import CanFrames, Gear
 from schemas.settings import ZenohSettings
@@ -31,8 +30,8 @@ def gear_sample(number: int) -> ReplaySample:
 
 
 @contextmanager
-def outlet_at(endpoint: str, root: str = "replay", *, waits: bool = True) -> Iterator[ZenohOutlet]:
-    with closing(ZenohOutlet(ZenohSettings(connect=[endpoint]), root, waits=waits)) as outlet:
+def outlet_at(endpoint: str, *, waits: bool = True) -> Iterator[ZenohOutlet]:
+    with closing(ZenohOutlet(ZenohSettings(connect=[endpoint]), "replay", waits=waits)) as outlet:
         assert outlet.wait_for_link(20, never)
         yield outlet
 
@@ -117,20 +116,6 @@ def test_no_token_is_declared_and_no_query_answered(peer: tuple[Peer, str]) -> N
         received(subscriber, 1)
         assert list(one.session.liveliness().get("**", timeout=0.5)) == []
         assert list(one.session.get("replay/**", timeout=0.5)) == []
-
-
-@pytest.mark.parametrize(
-    ("root", "is_refused"), [("fleet", True), ("fleet/cruiser-1", True), ("site", True), ("replay", False)]
-)
-def test_no_root_is_taken_where_a_gateway_is(peer: tuple[Peer, str], root: str, *, is_refused: bool) -> None:
-    one, endpoint = peer
-    live = [keys.liveliness(name, "cruiser-1") for name in ("fleet", "site/fleet")]
-    tokens = [one.session.liveliness().declare_token(name) for name in live]
-    with outlet_at(endpoint, root) as outlet:
-        for halt in (outlet.find_gateway(), outlet.attend()):
-            assert (halt is not None) is is_refused
-            assert halt is None or (halt.code is ExitCode.REFUSED and "cruiser-1" in str(halt))
-    assert len(tokens) == 2
 
 
 def test_where_it_only_listens_it_is_a_network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

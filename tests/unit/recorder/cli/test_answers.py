@@ -394,6 +394,15 @@ $ report a.mcap --json --from 1 --to 2 => {"robots": [{"known_s": 0.95}]}
 == a report of one robot of several [two.mcap]
 $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 2$ report two.mcap --json --robot r-3 => the logs hold nothing of r-3
+== flags of a replay that mean nothing are a matter of usage [drive.mcap]
+2$ replay drive.mcap --root 'fleet/**'
+2$ replay drive.mcap --root ''
+2$ replay drive.mcap --key a//b => no key expression
+2$ replay drive.mcap --speed=-1
+2$ replay drive.mcap --speed 0
+2$ replay drive.mcap --speed nan
+2$ replay drive.mcap --loop 0
+2$ replay drive.mcap --loop x
 == what means nothing is a matter of usage [logs/a.mcap logs/cruiser-2-b.mcap]
 2$ find 'stop last 7d' logs => invalid choice: 'stop last 7d' (choose from
 2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?

@@ -256,21 +256,6 @@ def test_a_connection_alone_does_not_begin_it(log: str, capsys: pytest.CaptureFi
     assert "no subscriber" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        *(["--root", root] for root in ("fleet/**", "")),
-        ["--key", "a//b"],
-        *(["--speed", text] for text in ("-1", "0", "nan", "x")),
-        *(["--loop", text] for text in ("0", "x")),
-    ],
-)
-def test_flags_that_do_not_fit_are_a_mistake(log: str, words: list[str]) -> None:
-    with pytest.raises((CommandError, SystemExit)) as caught:
-        run(log, *words)
-    assert getattr(caught.value, "code", None) == ExitCode.USAGE
-
-
 def test_a_log_that_holds_nothing_to_replay_is_told(tmp_path: Path, peer: tuple[Peer, str], log: str) -> None:
     _, endpoint = peer
     for words in (["--timeout", "0.1"], ["--listen", "tcp/127.0.0.1:0"]):
