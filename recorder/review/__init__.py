@@ -1,18 +1,17 @@
-"""Questions that a log answers: each is a function here, and a command in ``recorder.cli``.
+"""Questions about logs: each is a function here, and a command in ``recorder.cli``.
 
-- ``catalog``            which of very many logs: their rows, and ``find`` in them
-- ``info``, ``check``    what a log holds, as it says itself; whether that is true (``checking``, ``flaws``)
+- ``catalog``            a table of many logs, and ``find`` in it
+- ``info``, ``check``    the contents of a log by its own account, and whether it is true (``checking``, ``flaws``)
 - ``cut``                a part of a log, as a log
-- ``events``, ``why``    what happened, as ``entries``; why the robot stopped or stood: a ``window`` of the log,
-  ``evidence`` for a cause, the ``moment``
-- ``drives``             drives, distances and stops, as report, catalog and searches count them
-- ``verify``             who commanded, with which grant; is each file as it was signed (``verifying``)
-- ``rerun``, ``what_if`` the recorded run again, with its settings or with others
+- ``events``, ``why``    what happened (``entries``), and why a robot stopped (``window``, ``evidence``, ``moment``)
+- ``drives``             drives, distances and stops, for report, catalog and searches
+- ``verify``             who commanded with which grant, and the signatures of the files (``verifying``)
+- ``rerun``, ``what_if`` a recorded run repeated, with its own settings or with others
 - ``report``             a drive on one page
-- ``export``, ``query``  Parquet and CSV; SQL; both on ``columns``
-- ``raw_frames``         for the tools of CAN
-- ``messages``           a log as typed messages or tables, for programs
-- ``tasks``              their parts that processes and machines do beside each other
+- ``export``, ``query``  Parquet, CSV and SQL (``columns``)
+- ``raw_frames``         raw frames for CAN tools
+- ``messages``           typed messages or tables, for programs
+- ``tasks``              work in several processes or machines
 
-``recorder.reading`` finds the files and reads them.
+``recorder.reading`` finds and reads the files.
 """

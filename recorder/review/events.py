@@ -112,8 +112,7 @@ def read_events(
         timeline.take(row)
         yield from filter(is_wanted, timeline.tell())
     timeline.hear_behind_silence(logs, looked_at.to_ns)
-    for _ in timeline.endings(logs, looked_at.to_ns):
-        pass
+    timeline.endings(logs, looked_at.to_ns)
     yield from filter(is_wanted, timeline.end())
 
 
@@ -295,13 +294,13 @@ class Timeline:
                     if robot.doubtful is None and row.topic.kind is SafetyState:
                         break
 
-    def endings(self, logs: Sequence[LogFile], to_ns: int) -> Iterator[LogEnding]:
-        """Yield the end of each robot's logs; ``end`` yields them as entries too. After the last row."""
-        for robot in self._robots.values():
-            found = self._ending(robot, logs, to_ns)
-            if found is not None:
-                self._hold(found.entry)
-                yield found
+    def endings(self, logs: Sequence[LogFile], to_ns: int) -> list[LogEnding]:
+        """The end of each robot's logs; ``end`` yields them as entries too. After the last row."""
+        either = (self._ending(robot, logs, to_ns) for robot in self._robots.values())
+        found = [one for one in either if one is not None]
+        for one in found:
+            self._hold(one.entry)
+        return found
 
     def end(self) -> Iterator[Entry]:
         """Yield the remaining entries, after the last row."""
