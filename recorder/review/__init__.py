@@ -3,7 +3,7 @@
 - ``catalog``            a table of many logs, and ``find`` in it
 - ``info``, ``check``    the contents of a log by its own account, and whether it is true (``checking``, ``flaws``)
 - ``cut``                a part of a log, as a log
-- ``events``, ``why``    what happened (``entries``), and why a robot stopped (``window``, ``evidence``, ``moment``)
+- ``events``, ``why``    what happened (``entries``); why a robot stopped (``window``, ``evidence``, ``moment``)
 - ``drives``             drives, distances and stops, for report, catalog and searches
 - ``verify``             who commanded with which grant, and the signatures of the files (``verifying``)
 - ``rerun``, ``what_if`` a recorded run repeated, with its own settings or with others
