@@ -23,7 +23,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -467,7 +466,6 @@ class Hub:
         browser.tell(
             words.DeskHello(
                 root=self._root,
-                version=version("cruiser-gateway"),
                 requests=REQUESTS,
                 reasons=reasons_in_words(),
                 statement_reply=STATEMENT_REPLY_ENCODING,

@@ -127,7 +127,6 @@ def row_of(report: RobotStatus, event: SafetyEvent | None) -> RobotRow:
         link_age_s=_rounded(safety.link_age_s if safety is not None else None),
         lost=_count(sum(frame.lost for frame in report.health.feedback)) if report.health is not None else None,
         event=short(plain(event.text)) if event is not None else "",
-        event_ns=event.time_ns if event is not None else 0,
         reasons=[reason.value for reason in reasons],
     )
 

@@ -104,7 +104,6 @@ class DeskHello(_Told, frozen=True):
     """
 
     root: str
-    version: str
     requests: dict[str, tuple[str, str]]
     reasons: dict[str, tuple[str, str]]
     statement_reply: str
@@ -132,8 +131,7 @@ class RobotRow(msgspec.Struct, frozen=True):
     limit_mps: float | None
     link_age_s: float | None  # age of the drive commands; null without any
     lost: int | None  # feedback frames that were lost since its gateway's start; null if not known
-    event: str  # the last thing that a person should know, in English; ``event_ns`` its time by the robot's clock
-    event_ns: int
+    event: str  # the last warning or error, in English
     acknowledged: str = ""  # who handles its alarm; empty if none
     reasons: list[str] = []  # why it has this word, for pages in other languages; empty where nothing is wrong
 
@@ -193,7 +191,6 @@ class DeskReply(_Told, frozen=True):
     encoding: str = ""
     payload: bytes = b""
     attachment: bytes = b""
-    fault: str = ""
 
 
 class DeskStopped(_Told, frozen=True):

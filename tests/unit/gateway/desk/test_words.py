@@ -59,7 +59,7 @@ def test_what_is_not_of_its_form_is_refused(change: dict[str, Any]) -> None:
         said({**ASK, **change})
 
 
-ROW = RobotRow(0, "ready", "", "", 0.0, 1.0, None, 0, "", 0)
+ROW = RobotRow(0, "ready", "", "", 0.0, 1.0, None, 0, "")
 
 
 def sample(number: int) -> DeskSample:
