@@ -68,23 +68,23 @@ class Driver(can.BusABC):
         return can.Message(timestamp=outcome), True
 
 
+def reading(*outcomes: Exception | float) -> closing[CanBus]:
+    return closing(CanBus(PythonCan(Driver(*outcomes))))
+
+
 @pytest.mark.parametrize("start_s", [0.0, 12.5, 1e12, float("nan"), float("inf"), -1e300])
 def test_a_clock_that_does_not_keep_epoch_time_is_not_believed(start_s: float) -> None:
     """Interfaces that count from their own start would date frames to 1970 or the far future."""
-    bus = CanBus(PythonCan(Driver(start_s, start_s + 1, time.time())))
-    for _ in range(3):
-        frame = bus.receive(1)
-        assert frame is not None
-        assert abs(frame.wall_ns - time.time_ns()) < 10**10
-    bus.close()
+    with reading(start_s, start_s + 1, time.time()) as bus:
+        frames = [bus.receive(1) for _ in range(3)]
+    assert all(frame is not None and abs(frame.wall_ns - time.time_ns()) < 10**10 for frame in frames)
 
 
 def test_frames_that_waited_keep_their_times() -> None:
-    now_s = time.time()
-    bus = CanBus(PythonCan(Driver(now_s, now_s - 20, now_s - 19.99)))
-    times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
-    assert times_ns == pytest.approx([now_s * 1e9, (now_s - 20) * 1e9, (now_s - 19.99) * 1e9], abs=1000)
-    bus.close()
+    times_s = [time.time() + offset_s for offset_s in (0, -20, -19.99)]
+    with reading(*times_s) as bus:
+        times_ns = [frame.wall_ns for _ in range(3) if (frame := bus.receive(1)) is not None]
+    assert times_ns == pytest.approx([time_s * 1e9 for time_s in times_s], abs=1000)
 
 
 FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
@@ -93,8 +93,8 @@ FRAME = Frame(EXTENDED | 0x18C4D1EF, bytes(8))
 @pytest.mark.parametrize("separator", ["\n", "  "])
 def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_a_loss(separator: str) -> None:
     """A full transmit buffer and a lost cable look the same to a sender."""
-    said = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
-    with closing(CanBus(PythonCan(Driver(can.CanOperationError(said))))) as bus:
+    text = f"Transmit buffer full{separator}Traceback (most recent call last):\n  File ..."
+    with reading(can.CanOperationError(text)) as bus:
         with pytest.raises(BusFull, match=r"^Transmit buffer full$"):
             bus.send(FRAME)
         with pytest.raises(BusLost, match=r"^Transmit buffer full$"):
@@ -105,10 +105,8 @@ def test_a_frame_that_the_driver_does_not_take_is_full_and_a_failing_receive_is_
     "error", [OSError("Network is down"), ValueError("fd -1"), can.CanError("gone"), IndexError("of a driver")]
 )
 def test_sending_on_a_closed_bus_is_a_loss(error: Exception) -> None:
-    bus = CanBus(PythonCan(Driver(error)))
-    with pytest.raises(BusLost, match=str(error)):
+    with reading(error) as bus, pytest.raises(BusLost, match=str(error)):
         bus.send(FRAME)
-    bus.close()
 
 
 def undecodable() -> can.CanError:
@@ -118,24 +116,19 @@ def undecodable() -> can.CanError:
     return error
 
 
-GARBLED = [IndexError("string index out of range"), ValueError("non-hexadecimal number"), undecodable()]
-
-
-@pytest.mark.parametrize("error", GARBLED)
-def test_a_line_that_cannot_be_read_is_dropped_and_counted(error: Exception) -> None:
+@pytest.mark.parametrize(
+    "error", [IndexError("string index out of range"), ValueError("non-hexadecimal number"), undecodable()]
+)
+def test_lines_that_cannot_be_read_are_counted_and_many_in_a_row_are_a_lost_bus(error: Exception) -> None:
     for row in (1, GARBLED_MAX - 1):
-        bus = CanBus(PythonCan(Driver(*([error] * row + [0.0]) * 3)))
-        assert all(bus.receive(1) is not None for _ in range(3))
+        with reading(*([error] * row + [0.0]) * 3) as bus:
+            assert all(bus.receive(1) is not None for _ in range(3))
         assert bus.drops == 3 * row
-        bus.close()
-
-
-@pytest.mark.parametrize("error", GARBLED)
-def test_many_lines_in_a_row_that_cannot_be_read_are_a_lost_bus(error: Exception) -> None:
-    bus = CanBus(PythonCan(Driver(*[error] * 2 * GARBLED_MAX)))
-    with pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"):
+    with (
+        reading(*[error] * 2 * GARBLED_MAX) as bus,
+        pytest.raises(BusLost, match=f"^{GARBLED_MAX} lines in a row cannot be read"),
+    ):
         bus.receive(1)
-    bus.close()
 
 
 SO_TIMESTAMPNS = 35
