@@ -263,17 +263,7 @@ def _bus_commanded(facts: Facts) -> bool:
     return by_another or (facts.bus is not None and facts.bus.is_commanded)
 
 
-def _two_of_one_name(facts: Facts) -> Iterable[Detail]:
-    gateways, name = facts.zenoh.gateways, facts.settings.robot.name
-    return _found(gateways > 1, f"{gateways} are called {name}")
-
-
 # Zenoh and the services.
-
-
-def _router(facts: Facts) -> Iterable[Detail]:
-    zenoh = facts.zenoh
-    return _found(bool(zenoh.why_not) and _has_router(facts), f"{zenoh.place}: {zenoh.why_not}")
 
 
 def _has_router(facts: Facts) -> bool:
@@ -321,11 +311,6 @@ RESULTS: Final = {
 """Explanations of systemd's service results."""
 
 
-def _realtime(facts: Facts) -> Iterable[Detail]:
-    health = facts.zenoh.health
-    return _found(health is not None and not health.realtime, cure=TEXTS[Reason.NO_REALTIME].cure)
-
-
 def _versions(facts: Facts) -> Iterable[Detail]:
     health = facts.zenoh.health
     others = [] if health is None else [f"gateway {health.gateway_version}"]
@@ -335,11 +320,6 @@ def _versions(facts: Facts) -> Iterable[Detail]:
 
 
 # The arbiter.
-
-
-def _unguarded(facts: Facts) -> Iterable[Detail]:
-    safety = facts.zenoh.safety
-    return _found(safety is not None and not safety.guarded, cure=TEXTS[Reason.UNGUARDED].cure)
 
 
 def _reasons(reasons: Iterable[Reason], facts: Facts) -> Iterator[Detail]:
@@ -364,31 +344,16 @@ def _blocked(facts: Facts) -> Iterable[Detail]:
 # Time, certificates, disk.
 
 
-def _clock_behind(facts: Facts) -> Iterable[Detail]:
-    text = f"it reads {_utc(facts.now_s)}, but it is at least {_utc(facts.earliest_s)}"
-    return _found(facts.now_s < facts.earliest_s, text)
-
-
 def _clock_differs(facts: Facts) -> Iterable[Detail]:
     ahead_s = facts.zenoh.ahead_s
     way = "ahead" if ahead_s > 0 else "behind"
     return _found(abs(ahead_s) > CLOCK_MAX_S, f"the robot's is {abs(ahead_s):.1f} s {way}")
 
 
-def _clock_set_back(facts: Facts) -> Iterable[Detail]:
-    back_s = -facts.zenoh.clock_moved_s
-    return _found(back_s > CLOCK_MAX_S, f"by {back_s:.0f} s")
-
-
 def _split(text: str) -> Detail:
     """Split a file's problem from its cure, which follows a semicolon."""
     what, _, cure = text.partition("; ")
     return Detail("", cure, what)
-
-
-def _unsigned(facts: Facts) -> Iterable[Detail]:
-    wanted = facts.settings.authority.mode == "signed"
-    return _found(wanted and not facts.credentials, facts.settings.robot.name)
 
 
 def _disk_unusable(facts: Facts) -> Iterable[Detail]:
@@ -513,7 +478,12 @@ CHECKS: Final = (
         lambda facts: _found(facts.claims > 1, f"{facts.claims} on {facts.settings.can.channel}"),
     ),
     Check(
-        "two_of_one_name", "more than one gateway has the robot's name", "rename one: robot.name", _two_of_one_name
+        "two_of_one_name",
+        "more than one gateway has the robot's name",
+        "rename one: robot.name",
+        lambda facts: _found(
+            facts.zenoh.gateways > 1, f"{facts.zenoh.gateways} are called {facts.settings.robot.name}"
+        ),
     ),
     Check(
         "queue_long",
@@ -531,7 +501,9 @@ CHECKS: Final = (
         "router_unreachable",
         "the router cannot be reached",
         "check the network, and the router: 'systemctl status cruiser-router' on its computer",
-        _router,
+        lambda facts: _found(
+            bool(facts.zenoh.why_not) and _has_router(facts), f"{facts.zenoh.place}: {facts.zenoh.why_not}"
+        ),
     ),
     Check(
         "gateway_missing",
@@ -570,9 +542,18 @@ CHECKS: Final = (
         "realtime",
         "the gateway has no real-time priority: the lower speed limit applies",
         "LimitRTPRIO=20",
-        _realtime,
+        lambda facts: _found(
+            facts.zenoh.health is not None and not facts.zenoh.health.realtime, cure=TEXTS[Reason.NO_REALTIME].cure
+        ),
     ),
-    Check("unguarded", "no guard process watches the gateway", "wait a second", _unguarded),
+    Check(
+        "unguarded",
+        "no guard process watches the gateway",
+        "wait a second",
+        lambda facts: _found(
+            facts.zenoh.safety is not None and not facts.zenoh.safety.guarded, cure=TEXTS[Reason.UNGUARDED].cure
+        ),
+    ),
     Check(
         "latched",
         "a reset is required",
@@ -584,13 +565,16 @@ CHECKS: Final = (
         "clock_behind",
         "this computer's clock is behind",
         "set it with 'timedatectl set-time' or a time server; check its battery",
-        _clock_behind,
+        lambda facts: _found(
+            facts.now_s < facts.earliest_s,
+            f"it reads {_utc(facts.now_s)}, but it is at least {_utc(facts.earliest_s)}",
+        ),
     ),
     Check(
         "clock_set_back",
         "the robot's clock was set back since its gateway started",
         "use a time server; logs contain the times in between twice",
-        _clock_set_back,
+        lambda facts: _found(facts.zenoh.clock_moved_s < -CLOCK_MAX_S, f"by {-facts.zenoh.clock_moved_s:.0f} s"),
         is_note=True,
     ),
     Check(
@@ -610,7 +594,9 @@ CHECKS: Final = (
         "credentials_missing",
         "authority.mode is signed, but there are no keys",
         "'cruiser provision robot ROBOT' makes them, 'cruiser setup --bundle FILE' installs the answer",
-        _unsigned,
+        lambda facts: _found(
+            facts.settings.authority.mode == "signed" and not facts.credentials, facts.settings.robot.name
+        ),
     ),
     Check(
         "credentials",
