@@ -133,7 +133,7 @@ class RecorderLoop:
         self._leftovers = leftovers
         self._reporters = [one for one in (writer, keeper, leftovers) if one is not None]
 
-    def obey(self, control: Control) -> None:
+    def attach(self, control: Control) -> None:
         """Execute operators' requests, and publish events, gaps and health."""
         self._control = control
         keeper = self._keeper
@@ -223,7 +223,7 @@ class RecorderLoop:
     def _obey(self, control: Control, now_ns: int, wall_ns: int) -> None:
         if self._orders is not None:
             for asked in control.drain():
-                self._apply(self._orders.obey(asked, now_ns, wall_ns))
+                self._apply(self._orders.handle(asked, now_ns, wall_ns))
             self._orders.tick(now_ns)
         if self._health.is_due(now_ns):
             cpu_ns = time.process_time_ns()

@@ -76,14 +76,8 @@ def describe(found: LogCheck) -> Iterator[str]:
     about_file = [one for one in found.findings if one.about is About.FILE]
     about_data = [one for one in found.findings if one.about is About.DATA]
     yield f"{found.path}: {found.messages} messages, {found.bytes} bytes"
-    state = (
-        ""
-        if about_file
-        else " no fault found so far, it is being written"
-        if found.is_being_written
-        else " no fault found"
-    )
-    yield f"  file:{state}"
+    so_far = " so far, it is being written" if found.is_being_written else ""
+    yield "  file:" if about_file else f"  file: no fault found{so_far}"
     yield from (f"    {_finding(one)}" for one in about_file)
     if found.untold:
         yield f"    and {found.untold} more"

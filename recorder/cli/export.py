@@ -84,28 +84,16 @@ def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported la
 def _dataset(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
     from recorder.review import export  # noqa: PLC0415 - its libraries are an extra
 
-    return [
-        export.export_dataset(
-            asked.logs,
-            arguments.out,
-            _wanted(arguments, asked),
-            asked.faults,
-            run=task_runner(arguments, asked),
-            progress=progress,
-        )
-    ]
+    wanted = export.ExportRange(arguments.topic, asked.from_ns, asked.to_ns)
+    runner = task_runner(arguments, asked)
+    return [export.export_dataset(asked.logs, arguments.out, wanted, asked.faults, run=runner, progress=progress)]
 
 
 def _csv(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
-    from recorder.review.export import export_csv  # noqa: PLC0415 - its libraries are an extra
+    from recorder.review import export  # noqa: PLC0415 - its libraries are an extra
 
-    return export_csv(asked.logs, arguments.out, _wanted(arguments, asked), asked.faults, progress)
-
-
-def _wanted(arguments: argparse.Namespace, asked: Asked) -> Any:  # noqa: ANN401 - of a module that is imported late
-    from recorder.review.export import ExportRange  # noqa: PLC0415 - its libraries are an extra
-
-    return ExportRange(arguments.topic, asked.from_ns, asked.to_ns)
+    wanted = export.ExportRange(arguments.topic, asked.from_ns, asked.to_ns)
+    return export.export_csv(asked.logs, arguments.out, wanted, asked.faults, progress)
 
 
 def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:

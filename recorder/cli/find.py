@@ -104,14 +104,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if arguments.until is not None and arguments.since >= arguments.until:
         raise CommandError("--since must be before --until", ExitCode.USAGE)
     faults = Faults()
-    rows = catalog_rows(
-        arguments.logs,
-        find.SEARCHES[arguments.search].columns,
-        settings,
-        faults,
-        stopped,
-        arguments.catalog,
-    )
+    columns = find.SEARCHES[arguments.search].columns
+    rows = catalog_rows(arguments.logs, columns, settings, faults, stopped, arguments.catalog)
     named = {name for names in rows.column("names").to_pylist() for name in names}
     robots = chosen_robots(arguments.robot, named) if arguments.robot else None
     conditions = find.FindConditions(robots, arguments.reason, arguments.operator, arguments.since, **bounds)
@@ -181,19 +175,19 @@ def _event_cells(one: dict[str, Any]) -> list[str]:
 
 
 def _drive_cells(one: dict[str, Any]) -> list[str]:
-    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", _distance(one, "missing_s")
     where = link(one["file"], one["robot"], one["start_ns"])
-    begin = in_words(one["start_ns"])
-    return [begin, one["robot"], lasted, distance, str(one["stops"]), one["text"] or "-", where]
+    times = [in_words(one["start_ns"]), one["robot"], *_extent(one, "missing_s")]
+    return [*times, str(one["stops"]), one["text"] or "-", where]
 
 
 def _log_cells(one: dict[str, Any]) -> list[str]:
     begin = in_words(one["start_ns"]) if one["messages"] else "no time"
-    lasted, distance = f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", _distance(one, "gap_s")
     lost = "unknown" if one["lost"] is None else str(one["lost"])
     counts = [str(sum(one["stops"].values())), lost, str(one["faults"])]
-    return [begin, ", ".join(one["names"]), lasted, distance, *counts, one["file"]]
+    return [begin, ", ".join(one["names"]), *_extent(one, "gap_s"), *counts, one["file"]]
 
 
-def _distance(one: dict[str, Any], missing: str) -> str:
-    return f"{'at least ' if one[missing] else ''}{one['distance_m']:.1f} m"
+def _extent(one: dict[str, Any], missing: str) -> tuple[str, str]:
+    """Its time and distance."""
+    at_least = "at least " if one[missing] else ""
+    return f"{(one['end_ns'] - one['start_ns']) / 1e9:.0f} s", f"{at_least}{one['distance_m']:.1f} m"

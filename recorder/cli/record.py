@@ -64,9 +64,7 @@ COLLECT_AFTER: Final = (100_000, 50, 100)  # garbage collector's thresholds: sam
 FILES_APART: Final = 100  # files and links that may be open besides the logs
 CHUNK_MIN_BYTES: Final = 16_384  # smallest chunk size for small files
 BUDGET_FILES: Final = 20  # a file is ended at 1/20 of the budget
-BUDGET_RINGS: Final = (
-    4  # the rings for incidents take at most 1/4 of the budget: an incident begins with all of it
-)
+BUDGET_RINGS: Final = 4  # the rings for incidents take at most 1/4 of the budget: an incident begins with all
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -163,7 +161,7 @@ def _record(arguments: argparse.Namespace, settings: Settings, stopped: Callable
             keeper,
             leftovers,
         )
-        loop.obey(control)
+        loop.attach(control)
         recorded = loop.run(ending_after(stopped, arguments.seconds, time.monotonic), rolls)
     leftovers.wait(LEFTOVERS_S)
     if not recorded.is_hung:
@@ -183,7 +181,7 @@ def signer_of(settings: AuthoritySettings) -> LogSigner | None:
         return None
     # Cryptography takes a quarter of the process's memory: open mode does without.
     from recorder.record.signed_mode import LogSigner  # noqa: PLC0415
-    from schemas.authority.key_files import KEY_FILE, directory_of, made, read_identity  # noqa: PLC0415  # noqa: PLC0415
+    from schemas.authority.key_files import KEY_FILE, directory_of, made, read_identity  # noqa: PLC0415
 
     directory = directory_of(settings)
     if not (directory / KEY_FILE.format(who="recorder")).exists():
@@ -284,8 +282,8 @@ def hangups() -> Callable[[], bool]:
 
 def log_name(root: str, expressions: Sequence[str]) -> str:
     """The beginning of the log's name: the robot, if the expressions can match only one."""
-    robots = _robots_in(root, expressions)
-    return (robots.pop() or FLEET_NAME) if len(robots) == 1 else FLEET_NAME
+    robot, *others = _robots_in(root, expressions)
+    return FLEET_NAME if others else robot or FLEET_NAME
 
 
 def known_robots(settings: Settings, expressions: Sequence[str]) -> frozenset[str]:

@@ -53,10 +53,7 @@ DESCRIPTION: Final = (
 )
 
 TIMEOUT_S: Final = 3.0
-EVERY_KEY: Final = "**"
-MAX: Final = "max"
-FOREVER: Final = "forever"
-WITHHELD: Final = "commands, and invalid keys or encodings"
+
 NOTHING: Final = "the logs hold nothing to replay"
 SPEED_MIN: Final = 0.001
 SPEED_MAX: Final = 1e6
@@ -128,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    wants = wants_of(arguments.key or [EVERY_KEY])
+    wants = wants_of(arguments.key or ["**"])
     asked = find(arguments, settings, stopped)
     replayed, halt = _replay(arguments, settings, asked, wants, stopped)
     show(replayed, describe(replayed), as_json=arguments.json)
@@ -170,12 +167,11 @@ def _replay(
         _tell(f"{len(asked.logs)} logs to {root}/**")
         begun_s = time.monotonic()
         played = play(read, pace, outlet, stopped, loops=arguments.loop, is_now=arguments.now)
-    ended = "end" if played.has_ended else "stopped"
     replayed = Replayed(
         to=f"{root}/**",
         sent=outlet.sent,
         failed=outlet.failed,
-        withheld={WITHHELD: samples.withheld} if samples.withheld else {},
+        withheld={"commands, and invalid keys or encodings": samples.withheld} if samples.withheld else {},
         loops=played.loops,
         took_s=round(time.monotonic() - begun_s, 3),
         lateness_max_ms=played.late_ns / 1e6,
@@ -183,7 +179,7 @@ def _replay(
         pauses_cut=pace.cut,
         # With --listen, viewers come and go.
         was_alone=outlet.was_alone and not outlet.listen,
-        ended=ended if played.halt is None else str(played.halt),
+        ended=str(played.halt) if played.halt else "end" if played.has_ended else "stopped",
     )
     return replayed, played.halt
 
@@ -239,7 +235,7 @@ def _tell(text: str) -> None:
 
 
 def _speed(text: str) -> float:
-    if text == MAX:
+    if text == "max":
         return AS_FAST_AS_POSSIBLE
     try:
         value = float(text)
@@ -253,7 +249,7 @@ def _speed(text: str) -> float:
 
 
 def _loops(text: str) -> int:
-    if text == FOREVER:
+    if text == "forever":
         return FOR_EVER
     if not (text.isascii() and text.isdigit() and int(text) > 0):
         raise argparse.ArgumentTypeError(f"{text!r} is neither a number of times nor 'forever'")

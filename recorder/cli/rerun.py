@@ -39,7 +39,7 @@ DESCRIPTION: Final = (
     "recorded. For several logs, the last line counts those that decide otherwise."
 )
 
-TOLD: Final = 20  # differences that are listed without --json
+DIFFERENCES_SHOWN: Final = 20  # differences that are listed without --json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,13 +135,13 @@ def _of_rerun(result: RerunResult) -> Iterator[str]:
         if result.reworded:
             yield f"  {result.reworded} messages differ only in their wording"
         yield f"  different: {result.difference_count}"
-    for difference in result.differences[:TOLD]:
+    for difference in result.differences[:DIFFERENCES_SHOWN]:
         yield f"    {in_words(difference.time_ns)} {difference.subject}: {difference.what}"
         yield from (f"      {name}: {was!r}, now {now!r}" for name, (was, now) in difference.fields.items())
         if difference.message is not None:
             yield f"      {difference.message!r}"
-    if result.difference_count > TOLD:
-        yield f"    and {result.difference_count - TOLD} more"
+    if result.difference_count > DIFFERENCES_SHOWN:
+        yield f"    and {result.difference_count - DIFFERENCES_SHOWN} more"
 
 
 def _of_what_if(result: WhatIfResult) -> Iterator[str]:

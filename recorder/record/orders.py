@@ -54,7 +54,7 @@ class Orders:
         self._pending: list[_Pending] = []
         self._spent_to_ns = 0  # the accepted marks use up the allowance until this time
 
-    def obey(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
+    def handle(self, asked: OperatorRequest, now_ns: int, wall_ns: int) -> Sequence[Action]:
         """Execute a request. Nothing in a request raises."""
         match asked.request:
             case PayloadFault():

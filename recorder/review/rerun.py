@@ -139,7 +139,7 @@ class Tape:
         return None
 
 
-DIFFERENCES_TOLD: Final = 1000  # differences that are listed; the rest are only counted
+DIFFERENCES_MAX: Final = 1000  # differences that are listed; the rest are only counted
 WAITING_MAX: Final = (
     200_000  # messages that wait for their counterpart; the oldest beyond it are given up and counted
 )
@@ -276,7 +276,7 @@ class Comparison:
 
     def _differ(self, difference: Difference) -> None:
         self.difference_count += 1
-        if len(self.differences) < DIFFERENCES_TOLD:
+        if len(self.differences) < DIFFERENCES_MAX:
             self.differences.append(difference)
 
     def _wait(self, waiting: OrderedDict[Any, Any], key: Hashable, data: bytes | None) -> None:

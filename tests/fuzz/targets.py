@@ -343,7 +343,7 @@ def orders(data: bytes) -> None:
     desk = Orders(recorder, lambda: recorder_health(recorder.state), lambda: True)
     verb = RECORDER_COMMANDS[data[0] % len(RECORDER_COMMANDS)]
     asked = FakeAsked(codec.decode_request(verb, data[1:]))
-    writer.apply(desk.obey(asked.asked, 0, WALL_NS))
+    writer.apply(desk.handle(asked.asked, 0, WALL_NS))
     desk.tick(10 * NS)
     assert len(asked.replies) == 1
 

@@ -184,7 +184,7 @@ def test_operators_are_obeyed_and_told(tmp_path: Path, monkeypatch: pytest.Monke
     # Each pass brings some, so that there is a file to end.
     source = FakeSource(sample_of(gear(number)) for number in range(10**9))
     one = recorder(source, tmp_path, queue_bytes=1_000_000)
-    one.obey(control)
+    one.attach(control)
     recorded = one.run(lambda: control.is_served)
     status, mark = (asked.answer for asked in control.asked)
     assert status.health.state is RecorderState.RECORDING
@@ -202,7 +202,7 @@ def test_notices_of_others_are_taken(tmp_path: Path) -> None:
     keeper = SimpleNamespace(notices=lambda: [notices.pop(0)] if notices else [], use=DiskUse())
     plan = msgspec.structs.replace(PLAN, alarms=frozenset({EventKind.STOP}))
     one = recorder(source, tmp_path, plan, keeper=keeper)
-    one.obey(control)
+    one.attach(control)
     one._step()
     late = [sample_of(safety_event(EventKind.STOP)), *(sample_of(gear(number)) for number in range(100, 200))]
     source._samples = iter(late)

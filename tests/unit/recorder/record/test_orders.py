@@ -29,7 +29,7 @@ class Desk(RecorderRig):
 
     def ask(self, request: Request | PayloadFault) -> FakeAsked:
         asked = FakeAsked(request)
-        self.writer.apply(self.orders.obey(asked.asked, self.now_ns, WALL_NS))
+        self.writer.apply(self.orders.handle(asked.asked, self.now_ns, WALL_NS))
         return asked
 
     def notice(self, only: str = "") -> None:

@@ -237,7 +237,7 @@ def test_either_side_may_be_ahead(changed: list[bool], seed: int) -> None:
 
 def test_memory_and_output_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WAITING_MAX", 3)
-    monkeypatch.setattr(module, "DIFFERENCES_TOLD", 2)
+    monkeypatch.setattr(module, "DIFFERENCES_MAX", 2)
     comparison = compared("a9 r0 r1 r2 r3 r4")
     assert comparison.given_up == 2
     assert compared("r0 r1 r2 r3 r4").given_up == 0
