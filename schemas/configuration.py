@@ -412,12 +412,9 @@ def _checked(given: Given) -> object:
         raise _wrong_value(given) from error
 
 
-AUTO: Final = "auto"
-
-
 def directory_of(settings: AuthoritySettings, environment: Mapping[str, str], home: PurePath) -> PurePath:
     """The directory of keys and settings; auto is ``$XDG_CONFIG_HOME/cruiser``, or ``~/.config/cruiser``."""
-    if settings.directory != AUTO:
+    if settings.directory != "auto":
         return PurePath(settings.directory)
     configured = environment.get("XDG_CONFIG_HOME", "")
     return (PurePath(configured) if configured else home / ".config") / "cruiser"
