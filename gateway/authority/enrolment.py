@@ -59,7 +59,7 @@ from schemas.zenoh_session import WITH_NAMES, Json, session_settings
 
 
 class TransportRole(Enum):
-    """The role of a node of the network: the common name of its certificate.
+    """The role of a node or person in the network: the common name of its certificate.
 
     ``nothing`` has no row in the table: a robot uses it to test that the router enforces the rules.
     """
@@ -71,6 +71,11 @@ class TransportRole(Enum):
     DESK = "desk"
     ROUTER = "router"
     NOTHING = "nothing"
+
+    @property
+    def is_granted(self) -> bool:
+        """True if the role signs, and so needs a key and a grant as well as a certificate."""
+        return self in _GRANTED
 
 
 _R = TransportRole
@@ -332,31 +337,12 @@ _T = TypeVar("_T")
 ENROLMENT_MAX_BYTES: Final = 65_536  # of a request or a bundle
 
 
-class EnrolmentRole(Enum):
-    """The role that an applicant asks for."""
-
-    ROBOT = "robot"
-    OPERATOR = "operator"
-    VIEWER = "viewer"
-    RECORDER = "recorder"
-    ROUTER = "router"
-    DESK = "desk"
-
-    @property
-    def transport(self) -> TransportRole:
-        return TransportRole(self.value)
-
-    @property
-    def is_granted(self) -> bool:
-        """True if the role signs, and so needs a key and a grant as well as a certificate."""
-        return self in _GRANTED
-
-
-_NAMED_AS_ROBOTS: Final = {EnrolmentRole.ROBOT, EnrolmentRole.RECORDER}
+ENROLLED: Final = tuple(role for role in TransportRole if role is not _R.NOTHING)  # roles to apply for
+_NAMED_AS_ROBOTS: Final = {TransportRole.ROBOT, TransportRole.RECORDER}
 _GRANTED: Final = {
-    EnrolmentRole.ROBOT: {GrantRole.ROBOT},
-    EnrolmentRole.OPERATOR: {GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR},
-    EnrolmentRole.RECORDER: {GrantRole.RECORDER},
+    TransportRole.ROBOT: {GrantRole.ROBOT},
+    TransportRole.OPERATOR: {GrantRole.OPERATOR, GrantRole.PROGRAM, GrantRole.SUPERVISOR},
+    TransportRole.RECORDER: {GrantRole.RECORDER},
 }
 """The roles of grants that an applicant's role allows; any other role gets no grant."""
 
@@ -382,7 +368,7 @@ class EnrolmentRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """
 
     version: int = 1
-    role: EnrolmentRole
+    role: TransportRole
     names: Annotated[list[Name], Meta(min_length=1, max_length=16)]
     csr: str
     key: KeyHex | None = None
@@ -413,7 +399,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         signer: always empty.
     """
 
-    role: EnrolmentRole
+    role: TransportRole
     name: str
     authority: AuthorityKeys
     fleet: FleetPlace
@@ -429,7 +415,7 @@ class Bundle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 def new_request(
-    role: EnrolmentRole,
+    role: TransportRole,
     names: list[str],
     csr: str,
     private: Ed25519PrivateKey | None,
@@ -455,10 +441,12 @@ def read_request(text: bytes) -> EnrolmentRequest:
             f"it is a request of version {request.version}, not {REQUEST_VERSION}: upgrade Cruiser Gateway "
             f"there, and make a new request: 'cruiser provision renew {request.role.value}', or reload the page"
         )
+    if request.role not in ENROLLED:
+        raise EnrolmentError(f"not a request: role {request.role.value}")
     if request.role.is_granted != (request.key is not None):
         why = "gets no grant, but the request has a key" if request.key else "needs a grant, and has no key"
         raise EnrolmentError(f"a {request.role.value} {why}")
-    if not request.csr and request.role is not EnrolmentRole.OPERATOR:
+    if not request.csr and request.role is not TransportRole.OPERATOR:
         raise EnrolmentError(f"a {request.role.value} needs a certificate, and requests none")
     pattern = ROBOT_PATTERN if request.role in _NAMED_AS_ROBOTS else OPERATOR_PATTERN
     if request.role.is_granted and (len(request.names) > 1 or re.fullmatch(pattern, request.names[0]) is None):

@@ -16,10 +16,11 @@ import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from gateway.authority.enrolment import (
+    ENROLLED,
     EnrolmentError,
     EnrolmentRequest,
-    EnrolmentRole,
     FleetPlace,
+    TransportRole,
     chain_of,
     read_bundle,
     read_request,
@@ -107,11 +108,11 @@ def add_grant_arguments(parser: argparse.ArgumentParser) -> None:
 def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last: Grant | None) -> Wanted:
     """Return the grant of the flags, completed by the key's last grant, or by defaults."""
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
-    if request.role is not EnrolmentRole.OPERATOR and set(given) - _FOR_ALL:
+    if request.role is not TransportRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
         raise CommandError(f"{flags}: not for a {request.role.value}", ExitCode.USAGE)
-    usual_s = PERSON_S if request.role in {EnrolmentRole.OPERATOR, EnrolmentRole.VIEWER} else OTHERS_S
-    usual = [] if request.role is EnrolmentRole.RECORDER else ROBOT_VERBS
+    usual_s = PERSON_S if request.role in {TransportRole.OPERATOR, TransportRole.VIEWER} else OTHERS_S
+    usual = [] if request.role is TransportRole.RECORDER else ROBOT_VERBS
     last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
     return Wanted(
         verbs=arguments.verbs or (last.verbs if last else usual),
@@ -129,7 +130,7 @@ def unlimited_warning(arguments: argparse.Namespace, request: EnrolmentRequest, 
     A new authority does not know the limits that the former one set.
     """
     is_limited = arguments.robots or arguments.verbs or arguments.speed_limit is not None
-    if last is not None or is_limited or request.role is not EnrolmentRole.OPERATOR:
+    if last is not None or is_limited or request.role is not TransportRole.OPERATOR:
         return ""
     return (
         "this key had no grant here before: it gets all robots, all verbs and no speed limit; limit it with "
@@ -292,12 +293,12 @@ docs/authority.md describes how to start a fleet, and what to do about lost or s
 TIMEOUT_S: Final = 3.0
 
 ABOUT: Final = {
-    EnrolmentRole.ROBOT: "make keys and a request for a robot",
-    EnrolmentRole.OPERATOR: "make keys and a request for a person or program that commands robots",
-    EnrolmentRole.VIEWER: "make keys and a request for a person who sees robots and may stop one",
-    EnrolmentRole.RECORDER: "make keys and a request for a recorder",
-    EnrolmentRole.ROUTER: "make keys and a request for the fleet's router",
-    EnrolmentRole.DESK: "make keys and a request for a control room's machine",
+    TransportRole.ROBOT: "make keys and a request for a robot",
+    TransportRole.OPERATOR: "make keys and a request for a person or program that commands robots",
+    TransportRole.VIEWER: "make keys and a request for a person who sees robots and may stop one",
+    TransportRole.RECORDER: "make keys and a request for a recorder",
+    TransportRole.ROUTER: "make keys and a request for the fleet's router",
+    TransportRole.DESK: "make keys and a request for a control room's machine",
 }
 
 
@@ -356,9 +357,7 @@ def _add_makers(add: Add) -> None:
             action.add_argument("names", nargs=1, metavar="NAME", help="name in the fleet")
         _add_output(action, "request")
     renew = add("renew", "request a new certificate and grant for the keys that are here")
-    renew.add_argument(
-        "role", choices=[role.value for role in EnrolmentRole], metavar="ROLE", help="role to renew"
-    )
+    renew.add_argument("role", choices=[role.value for role in ENROLLED], metavar="ROLE", help="role to renew")
     _add_output(renew, "request")
 
 
@@ -482,7 +481,7 @@ class _Output:
 
 def _request(arguments: argparse.Namespace, store: KeyStore) -> None:
     is_new = arguments.action != "renew"
-    role = EnrolmentRole(arguments.action if is_new else arguments.role)
+    role = TransportRole(arguments.action if is_new else arguments.role)
     names = list(arguments.names) if is_new else names_here(store, role)
     output = _Output(arguments, Path(f"{role.value}-{re.sub(r'[^A-Za-z0-9_.-]', '-', names[0])}.request"))
     request = make_keys(store, role, names, replace=arguments.replace) if is_new else ask_again(store, role, names)
@@ -596,11 +595,11 @@ def _add_passphrase(parser: argparse.ArgumentParser, *, makes_keys: bool = False
         parser.add_argument("--no-passphrase", action="store_true", help="keys without a passphrase")
 
 
-_HOSTS: Final = {EnrolmentRole.ROUTER, EnrolmentRole.DESK}
+_HOSTS: Final = {TransportRole.ROUTER, TransportRole.DESK}
 _AFTER: Final = {
-    EnrolmentRole.ROBOT: "cruiser gateway --config {}/robot.toml",
-    EnrolmentRole.RECORDER: "cruiser record --config {}/recorder.toml",
-    EnrolmentRole.ROUTER: "cruiser router --directory {}",
+    TransportRole.ROBOT: "cruiser gateway --config {}/robot.toml",
+    TransportRole.RECORDER: "cruiser record --config {}/recorder.toml",
+    TransportRole.ROUTER: "cruiser router --directory {}",
 }
 """The next step after ``install``, by role; a person's commands find their settings by the environment."""
 

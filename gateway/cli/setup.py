@@ -17,7 +17,7 @@ from typing import Final
 
 import msgspec
 
-from gateway.authority.enrolment import Bundle, EnrolmentError, EnrolmentRole, read_bundle
+from gateway.authority.enrolment import Bundle, EnrolmentError, TransportRole, read_bundle
 from gateway.can.open_bus import count_claims
 from gateway.cli import doctor
 from gateway.cli.configuration_file import load_settings
@@ -213,7 +213,7 @@ READY_S: Final = 60.0  # time for the services to start well
 
 PROGRAM_TIMEOUT_S: Final = 120.0
 
-SERVICE_OF: Final = {EnrolmentRole(role): service for service, role in SERVICES.items()}
+SERVICE_OF: Final = {TransportRole(role): service for service, role in SERVICES.items()}
 
 # findings with which setup changes nothing: another process drives the robot
 NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
@@ -343,7 +343,7 @@ def _answers(
             return _ask(f"{question} [{default}]: ", default, check)
         return default if given is None else given
 
-    robot = next((one for one in bundles if one.role is EnrolmentRole.ROBOT), None)
+    robot = next((one for one in bundles if one.role is TransportRole.ROBOT), None)
     name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.robot, robot_name)
     if arguments.robot not in {None, name}:
         raise CommandError(f"the bundle is for {plain(name)}, not {arguments.robot}", ExitCode.USAGE)

@@ -17,7 +17,6 @@ from gateway.authority.enrolment import (
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
-    EnrolmentRole,
     FleetPlace,
     TransportRole,
     authority_fingerprint,
@@ -65,7 +64,7 @@ ZENOH_FILE, SETTINGS_FILE = "{who}.json5", "{who}.toml"
 SHARED: Final = (AUTHORITY_FILE, CA_FILE, FLEET_FILE)  # the same files on every machine of a fleet
 
 
-def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
+def make_keys(store: KeyStore, role: TransportRole, names: list[str], *, replace: bool) -> EnrolmentRequest:
     """Make the keys of a machine or a person. Returns the request for enrolment."""
     wrong = next((name for name in names if re.fullmatch(NAME_PATTERN, name) is None), None)
     if wrong is not None:
@@ -85,7 +84,7 @@ def make_keys(store: KeyStore, role: EnrolmentRole, names: list[str], *, replace
     return request
 
 
-def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
+def names_here(store: KeyStore, role: TransportRole) -> list[str]:
     """The names in the certificate that is installed here."""
     name = CERTIFICATE_FILE.format(who=role.value)
     text = store.read(name, INSTALLED).decode(errors="replace")
@@ -93,7 +92,7 @@ def names_here(store: KeyStore, role: EnrolmentRole) -> list[str]:
         return names_of(read_certificates(text)[0])
 
 
-def ask_again(store: KeyStore, role: EnrolmentRole, names: list[str]) -> EnrolmentRequest:
+def ask_again(store: KeyStore, role: TransportRole, names: list[str]) -> EnrolmentRequest:
     cure = remade(role.value)
     tls = store.p256(tls_key_name(role), cure)
     private = store.ed25519(KEY_FILE.format(who=role.value), cure) if role.is_granted else None
@@ -138,7 +137,7 @@ def _shared(bundle: Bundle) -> dict[str, str]:
     return {AUTHORITY_FILE: _json(bundle.authority), CA_FILE: bundle.ca, FLEET_FILE: _json(bundle.fleet)}
 
 
-def tls_key_name(role: EnrolmentRole) -> str:
+def tls_key_name(role: TransportRole) -> str:
     return TLS_KEY_FILE.format(who=role.value)
 
 
@@ -180,17 +179,17 @@ def _bundle_holder(bundle: Bundle) -> str:
 def _own_files(store: KeyStore, bundle: Bundle) -> dict[str, str]:
     role, who = bundle.role, bundle.role.value
     files = {CERTIFICATE_FILE.format(who=who): bundle.certificate}
-    if role is EnrolmentRole.ROBOT:
+    if role is TransportRole.ROBOT:
         files[SHUT_OUT_FILE] = bundle.shut_out
     if role.is_granted:
         files[GRANT_FILE.format(who=who)] = bundle.chain
-    transport, endpoints = role.transport, bundle.fleet.routers
-    if transport is TransportRole.ROUTER:
+    endpoints = bundle.fleet.routers
+    if role is TransportRole.ROUTER:
         endpoints = _listening(endpoints, names_of(read_certificates(bundle.certificate)[0]))
-    robot = bundle.name if role is EnrolmentRole.ROBOT else ""
-    zenoh = zenoh_configuration(transport, bundle.fleet.root, store.directory, endpoints, robot)
+    robot = bundle.name if role is TransportRole.ROBOT else ""
+    zenoh = zenoh_configuration(role, bundle.fleet.root, store.directory, endpoints, robot)
     files[ZENOH_FILE.format(who=who)] = json.dumps(zenoh, indent=1) + "\n"
-    if transport is not TransportRole.ROUTER:
+    if role is not TransportRole.ROUTER:
         files[SETTINGS_FILE.format(who=who)] = _settings(store, bundle)
     return files
 
@@ -221,9 +220,9 @@ _LOOPBACK: Final = ("127.0.0.1", "[::1]", "localhost")
 def _settings(store: KeyStore, bundle: Bundle) -> str:
     """The settings file of a role, for ``--config`` or CRUISER_CONFIG."""
     role, who = bundle.role, bundle.role.value
-    robot = f"name = {write_string(bundle.name)}\n" if role is EnrolmentRole.ROBOT else ""
+    robot = f"name = {write_string(bundle.name)}\n" if role is TransportRole.ROBOT else ""
     # Roles without a key sign nothing, but verify what robots sign.
-    mode = "" if role is EnrolmentRole.ROUTER else 'mode = "signed"\n'
+    mode = "" if role is TransportRole.ROUTER else 'mode = "signed"\n'
     return (
         "# Written by 'cruiser provision install', which does not overwrite it: you may edit it.\n"
         f"[robot]\nroot = {write_string(bundle.fleet.root)}\n{robot}\n"
@@ -243,8 +242,8 @@ SERIALS_FILE, ISSUED_FILE, REVOCATIONS_FILE = "serials.json", "issued.jsonl", "r
 BACKDATED_S: Final = 300  # a grant begins so much earlier, since clocks differ
 
 _ROLES: Final = {
-    EnrolmentRole.ROBOT: GrantRole.ROBOT,
-    EnrolmentRole.RECORDER: GrantRole.RECORDER,
+    TransportRole.ROBOT: GrantRole.ROBOT,
+    TransportRole.RECORDER: GrantRole.RECORDER,
 }
 _AUTHORITY_CURE: Final = "'cruiser provision authority' makes it"
 
@@ -336,8 +335,8 @@ class Issuer:
             name=name,
             authority=self.authority,
             fleet=self.fleet,
-            certificate=self._certify(request, role.transport, now_s) if request.csr else "",
-            shut_out=self._certify(request, TransportRole.NOTHING, now_s) if role is EnrolmentRole.ROBOT else "",
+            certificate=self._certify(request, role, now_s) if request.csr else "",
+            shut_out=self._certify(request, TransportRole.NOTHING, now_s) if role is TransportRole.ROBOT else "",
             ca=self.ca,
             chain=signed.text() if signed else "",
         )
@@ -433,7 +432,7 @@ class Issuer:
 
     def _grant(self, request: EnrolmentRequest, wanted: Wanted, now_s: int) -> Signed:
         serials, name = serials_of(self.store), request.names[0]
-        is_robot = request.role is EnrolmentRole.ROBOT
+        is_robot = request.role is TransportRole.ROBOT
         grant = Grant(
             serial=serials.grant + 1,
             name=name,

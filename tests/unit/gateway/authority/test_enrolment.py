@@ -18,10 +18,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.authority.enrolment import (
+    ENROLLED,
     Bundle,
     EnrolmentError,
     EnrolmentRequest,
-    EnrolmentRole,
     FleetPlace,
     TransportRole,
     access_table,
@@ -43,14 +43,14 @@ from tests.support.access import PUTS, QUERIES, ROBOTS, ROLES, SUBSCRIPTIONS, TO
 from tests.support.authority import NOW_S, Fleet, Party
 
 GRANTED = {
-    EnrolmentRole.ROBOT: GrantRole.ROBOT,
-    EnrolmentRole.OPERATOR: GrantRole.OPERATOR,
-    EnrolmentRole.RECORDER: GrantRole.RECORDER,
+    TransportRole.ROBOT: GrantRole.ROBOT,
+    TransportRole.OPERATOR: GrantRole.OPERATOR,
+    TransportRole.RECORDER: GrantRole.RECORDER,
 }
 PLACE = FleetPlace("fleet", ["tls/router.example:7447"])
 
 
-def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole) -> Bundle:
+def bundle_for(fleet: Fleet, party: Party, role: TransportRole) -> Bundle:
     return Bundle(
         role=role,
         name=party.name,
@@ -63,7 +63,7 @@ def bundle_for(fleet: Fleet, party: Party, role: EnrolmentRole) -> Bundle:
 
 
 def made_for(
-    name: str = "ann", role: EnrolmentRole = EnrolmentRole.OPERATOR
+    name: str = "ann", role: TransportRole = TransportRole.OPERATOR
 ) -> tuple[Fleet, Party, Bundle, bytes]:
     fleet, party = Fleet(), Party(name)
     fleet.authority.grant(party, role=GRANTED[role])
@@ -81,7 +81,7 @@ TLS = new_key()
 
 
 def asked(
-    role: EnrolmentRole,
+    role: TransportRole,
     names: list[str],
     private: Ed25519PrivateKey | None,
     tls: ec.EllipticCurvePrivateKey = TLS,
@@ -89,8 +89,8 @@ def asked(
     return new_request(role, names, new_csr(tls, role.value, names or ["nobody"]), private, tls)
 
 
-@pytest.mark.parametrize("role", list(EnrolmentRole))
-def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
+@pytest.mark.parametrize("role", ENROLLED)
+def test_a_request_is_read_as_it_was_made(role: TransportRole) -> None:
     private = Ed25519PrivateKey.generate() if role in GRANTED else None
     assert role.is_granted == (role in GRANTED)
     request = asked(role, ["one-1"], private)
@@ -103,24 +103,24 @@ def test_a_request_is_read_as_it_was_made(role: EnrolmentRole) -> None:
 @pytest.mark.parametrize(
     ("role", "names"),
     [
-        (EnrolmentRole.ROBOT, ["Cruiser"]),
-        (EnrolmentRole.ROBOT, ["cruiser_1"]),
-        (EnrolmentRole.RECORDER, ["depot.1"]),
-        (EnrolmentRole.OPERATOR, ["::1"]),
-        (EnrolmentRole.OPERATOR, ["ann", "bea"]),
-        (EnrolmentRole.OPERATOR, []),
+        (TransportRole.ROBOT, ["Cruiser"]),
+        (TransportRole.ROBOT, ["cruiser_1"]),
+        (TransportRole.RECORDER, ["depot.1"]),
+        (TransportRole.OPERATOR, ["::1"]),
+        (TransportRole.OPERATOR, ["ann", "bea"]),
+        (TransportRole.OPERATOR, []),
     ],
 )
-def test_a_name_is_of_the_form_that_keys_have(role: EnrolmentRole, names: list[str]) -> None:
+def test_a_name_is_of_the_form_that_keys_have(role: TransportRole, names: list[str]) -> None:
     with pytest.raises(EnrolmentError):
         asked(role, names, Ed25519PrivateKey.generate())
 
 
 ANNS, OTHER_TLS = Ed25519PrivateKey.generate(), new_key()
-OTHER = asked(EnrolmentRole.OPERATOR, ["ann"], Ed25519PrivateKey.generate(), OTHER_TLS)
+OTHER = asked(TransportRole.OPERATOR, ["ann"], Ed25519PrivateKey.generate(), OTHER_TLS)
 CHANGES: dict[str, list[object]] = {
     "version": [1, 3],
-    "role": [EnrolmentRole.RECORDER, EnrolmentRole.ROBOT, EnrolmentRole.VIEWER],
+    "role": [TransportRole.RECORDER, TransportRole.ROBOT, TransportRole.VIEWER, TransportRole.NOTHING],
     "names": [["bea"], ["ann", "bea"], [], ["ann\n"]],
     "csr": [OTHER.csr, new_csr(TLS, "operator", ["ann"]), "another", ""],
     "key": [OTHER.key, None],
@@ -132,7 +132,7 @@ CHANGES: dict[str, list[object]] = {
 
 @pytest.mark.parametrize(
     "made",
-    [asked(EnrolmentRole.OPERATOR, ["ann"], ANNS), new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANNS, None)],
+    [asked(TransportRole.OPERATOR, ["ann"], ANNS), new_request(TransportRole.OPERATOR, ["ann"], "", ANNS, None)],
     ids=["command", "browser"],
 )
 @pytest.mark.parametrize("field", EnrolmentRequest.__struct_fields__)
@@ -148,7 +148,7 @@ def test_no_field_of_a_request_can_be_changed_unseen(field: str, made: Enrolment
 
 
 def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
-    request, thief = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS), Ed25519PrivateKey.generate()
+    request, thief = asked(TransportRole.OPERATOR, ["ann"], ANNS), Ed25519PrivateKey.generate()
     stolen = msgspec.structs.replace(request, key=thief.public_key().public_bytes_raw().hex())
     stolen = msgspec.structs.replace(stolen, proof=thief.sign(stolen.signed()).hex())
     with pytest.raises(EnrolmentError, match="not signed by the key of its certificate"):
@@ -157,8 +157,8 @@ def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
     signature = OTHER_TLS.sign(stolen.signed(), ec.ECDSA(SHA256())).hex()
     with pytest.raises(EnrolmentError, match="not signed by its own key"):
         read_request(msgspec.json.encode(msgspec.structs.replace(stolen, csr_proof=signature)))
-    browsers = new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANNS, None)
-    thiefs = new_request(EnrolmentRole.OPERATOR, ["ann"], "", thief, None)
+    browsers = new_request(TransportRole.OPERATOR, ["ann"], "", ANNS, None)
+    thiefs = new_request(TransportRole.OPERATOR, ["ann"], "", thief, None)
     assert request_fingerprint(browsers) != request_fingerprint(thiefs)
 
 
@@ -166,7 +166,7 @@ def test_whoever_carries_a_request_puts_no_key_of_theirs_into_it() -> None:
 @pytest.mark.parametrize("field", ["key", "proof", "csr_proof"])
 def test_a_key_and_a_signature_are_written_in_one_way(field: str, change: Callable[[str], str]) -> None:
     """Otherwise one key could appear as several, one of them revoked and the others not."""
-    made = asked(EnrolmentRole.OPERATOR, ["ann"], ANNS)
+    made = asked(TransportRole.OPERATOR, ["ann"], ANNS)
     other = msgspec.structs.replace(made, **{field: change(getattr(made, field))})
     with pytest.raises(EnrolmentError, match="matching regex"):
         read_request(msgspec.json.encode(other))
@@ -204,7 +204,7 @@ def test_no_field_of_an_authority_can_be_changed_unseen() -> None:
 
 
 @pytest.mark.parametrize("role", GRANTED)
-def test_a_bundle_of_the_authority_holds(role: EnrolmentRole) -> None:
+def test_a_bundle_of_the_authority_holds(role: TransportRole) -> None:
     fleet, _, bundle, made = made_for("one-1", role)
     assert read_bundle(made, NOW_S) == bundle
     for other in set(GRANTED) - {role}:
@@ -226,7 +226,7 @@ def test_a_bundle_that_was_changed_holds_no_more() -> None:
 def test_no_field_of_a_bundle_can_be_changed_unseen(field: str) -> None:
     (_, party, bundle, whole), thieves = made_for(), Fleet()
     others = msgspec.structs.replace(
-        bundle_for(thieves, Party("bea"), EnrolmentRole.VIEWER),
+        bundle_for(thieves, Party("bea"), TransportRole.VIEWER),
         fleet=FleetPlace("fleet", ["tls/thief.example:7447"]),
         certificate="another",
         shut_out="another",
@@ -254,11 +254,13 @@ def test_whatever_comes_is_refused_with_words(text: bytes) -> None:
 
 def test_a_person_alone_asks_for_a_grant_without_a_certificate() -> None:
     private = Ed25519PrivateKey.generate()
-    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", private, None)
+    request = new_request(TransportRole.OPERATOR, ["ann"], "", private, None)
     assert read_request(msgspec.json.encode(request)).csr == ""
-    for role in set(EnrolmentRole) - {EnrolmentRole.OPERATOR}:
+    for role in set(ENROLLED) - {TransportRole.OPERATOR}:
         with pytest.raises(EnrolmentError, match="needs a certificate"):
             new_request(role, ["ann"], "", private if role in GRANTED else None, None)
+    with pytest.raises(EnrolmentError, match="not a request: role nothing"):
+        asked(TransportRole.NOTHING, ["hall"], None)
 
 
 # The Zenoh configuration of each role: what holds for all. What they let through is tested through a router.

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from gateway.authority.enrolment import EnrolmentRole
+from gateway.authority.enrolment import TransportRole
 from gateway.cli.setup import (
     NOBODY_DRIVES,
     PENDING,
@@ -92,7 +92,7 @@ def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
         assert parts(text) == parts((DEPLOY / name[1:]).read_text("utf-8")), name
     for name, role in SERVICES.items():
         assert (DEPLOY / f"cruiser-{name}.service").exists()
-        assert EnrolmentRole(role)
+        assert TransportRole(role)
 
 
 def test_the_gateway_comes_and_goes_with_its_interface() -> None:

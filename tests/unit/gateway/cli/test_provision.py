@@ -15,7 +15,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-from gateway.authority.enrolment import EnrolmentRole, bundle_text, new_request, read_request
+from gateway.authority.enrolment import TransportRole, bundle_text, new_request, read_request
 from gateway.command.rulings import RawRequest
 from gateway.provisioning.issuer import Issuer, Wanted, ask_again
 from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates
@@ -249,7 +249,7 @@ def test_a_name_that_has_a_key_gets_no_other_in_silence(
         assert f"{role} {name} has another key already" in capsys.readouterr().err
         assert run(*other, "--replace") == 0
         assert "another key" not in capsys.readouterr().err
-    renamed = ask_again(KeyStore(fleet.place / "ann"), EnrolmentRole.OPERATOR, ["bea"])
+    renamed = ask_again(KeyStore(fleet.place / "ann"), TransportRole.OPERATOR, ["bea"])
     (fleet.place / "bea.request").write_bytes(msgspec.json.encode(renamed))
     assert "its key was enrolled as operator ann" in refused("sign", "bea.request", *authority)
     run("revoke", "cruiser-1", *authority)
@@ -437,7 +437,7 @@ def test_a_request_without_a_grant_is_held_against_its_certificates(fleet: Provi
     changes: list[dict[str, object]] = [
         {"names": ["yard"]},
         {"names": ["hall", "yard"]},
-        {"role": EnrolmentRole.DESK},
+        {"role": TransportRole.DESK},
     ]
     for wrong in changes:
         said = msgspec.structs.replace(request, **wrong)

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 
 from gateway.authority.enrolment import (
-    EnrolmentRole,
+    TransportRole,
     bundle_text,
     new_request,
     read_bundle,
@@ -112,7 +112,7 @@ def test_a_statement_a_request_to_be_let_in_and_a_bundle_are_the_same() -> None:
     assert (chain_text(chain), body_of(signed.statement).decode()) == (statement["text"], statement["body"])
     assert (signed.id.hex(), signed.signed) == (statement["id"], text)
     assert (AUTHORITY.sign(text).hex(), statement["signed"]) == (statement["signature"], text.hex())
-    request = new_request(EnrolmentRole.OPERATOR, ["ann"], "", ANN, None)
+    request = new_request(TransportRole.OPERATOR, ["ann"], "", ANN, None)
     assert json.loads(msgspec.json.encode(request)) == enrolment["request"]
     assert (request.signed().hex(), request_fingerprint(request)) == (
         enrolment["signed"],
