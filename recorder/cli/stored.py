@@ -1,4 +1,4 @@
-"""Logs at addresses in object stores: copies of them, which are fetched once."""
+"""Logs in object stores, by their cached copies."""
 
 from __future__ import annotations
 
@@ -26,10 +26,7 @@ def find_stored(
     faults: Faults,
     progress_of: Callable[[int], AbstractContextManager[Progress]],
 ) -> list[LogFile]:
-    """Return copies of the logs at these addresses: single ones, and all of a place.
-
-    The options are those of ``upload``, if its store is one of the same kind.
-    """
+    """Fetch the logs at these addresses, and all logs of a place, into the cache."""
     wanted = {
         place.join(name): (objects, place, name, size)
         for address in addresses
@@ -51,7 +48,7 @@ def find_stored(
 
 
 def _objects_at(address: StoreAddress, upload: UploadSettings) -> Iterator[tuple[Objects, StoreAddress, str, int]]:
-    """Yield the logs at an address: the objects of their place, its address, the name in it, and the length."""
+    """Yield the logs at an address: objects and address of their place, name and size."""
     if is_log(address.name):
         objects = open_objects(address.parent, upload)
         yield objects, address.parent, address.name, _length_of(objects, address)
@@ -74,7 +71,7 @@ def _length_of(objects: Objects, address: StoreAddress) -> int:
 
 
 def _look_at(path: Path, address: StoreAddress) -> LogFile:
-    """The log that a copy is, under its address."""
+    """The log of a copy, under its address."""
     try:
         return msgspec.structs.replace(look_at(path), url=address.url)
     except CommandError as error:
@@ -82,20 +79,18 @@ def _look_at(path: Path, address: StoreAddress) -> LogFile:
 
 
 def open_cache(upload: UploadSettings) -> LogCache:
-    """The copies of this user."""
     return LogCache(cache_directory(os.environ, Path.home()), upload.cache_bytes)
 
 
 def is_log(name: str) -> bool:
-    """True of the name of a log."""
     return name.endswith((SUFFIX, PART_SUFFIX))
 
 
 def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
-    """Return the names and lengths of the logs of a place, in their order."""
+    """The names and sizes of the logs of a place, by name."""
     if not place.has_list:
         raise CommandError(
-            f"{shown_url(place.url)} names no log, and such a server lists none: name one", ExitCode.USAGE
+            f"{shown_url(place.url)} names no log, and such a server has no list: name one", ExitCode.USAGE
         )
     try:
         return sorted((one.name, one.bytes) for one in objects.names() if is_log(one.name))
@@ -104,14 +99,13 @@ def log_names(objects: Objects, place: StoreAddress) -> list[tuple[str, int]]:
 
 
 def open_objects(place: StoreAddress, upload: UploadSettings) -> Objects:
-    """Open a place of a store, with the options of the settings if they are of a store of this kind."""
     return ObstoreObjects(place, options_of(place, upload))
 
 
 def options_of(place: StoreAddress, upload: UploadSettings) -> Mapping[str, Any]:
-    """Return the options for a place: those of the settings, as far as they are of its kind."""
+    """The options of the settings that are for a place of this kind."""
     kind = next((one for one in SCHEMES if upload.store.startswith(one)), "")
     if kind in {"", place.scheme}:
         return upload.options
-    # A server of plain HTTP is read only where that is said, whatever else the options are for.
+    # Plain HTTP is read only if the options allow it.
     return {key: value for key, value in upload.options.items() if key == "allow_http"}

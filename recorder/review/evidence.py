@@ -302,7 +302,7 @@ _LEFT: Final = frozenset({EventKind.STOPPED, EventKind.TAKEOVER, EventKind.GUARD
 
 
 def last_command(window: EvidenceWindow) -> Heard[Decision] | None:
-    """The last acceptable drive command since the robot was engaged."""
+    """The last valid drive command since the robot was engaged."""
     left, last = _left_or_engaged(window), _last(window, _is_obeyed)
     return None if last is None or (left is not None and last.said.tick <= left.said.tick) else last
 
@@ -317,7 +317,7 @@ def describe_command(window: EvidenceWindow) -> list[Link]:
         text = f"no drive command was accepted since it was engaged, {window.ago(left.time_ns)}"
         return [evidence(text), *_holes(window)] if left.said.kind is EventKind.ENGAGED else []
     said, bounds = last.said, [bound.value for bound in last.said.bound_by]
-    text = f"the last acceptable drive command, seq {said.request_sequence} from {_who(said)}, came "
+    text = f"the last valid drive command, seq {said.request_sequence} from {_who(said)}, came "
     text += f"{window.ago(last.time_ns)} and requested {_asked(said)}; "
     text += f"commanded {mps(said.output_speed_mps)}, {deg(said.output_angle_deg)}" if said.frames_sent else ""
     text += "" if said.frames_sent else "no frame was sent in its tick"
@@ -326,7 +326,7 @@ def describe_command(window: EvidenceWindow) -> list[Link]:
 
 
 def _deadman(window: EvidenceWindow) -> list[Link]:
-    """The last acceptable drive command, its age, and the refused ones after it."""
+    """The last valid drive command, its age, and the refused ones after it."""
     limit_ns, origin = round(window.limits.command.deadman_s * 1e9), window.limits.origin
     state = window.last(SafetyState)
     if state is not None and state.said.deadman_s * 1e9 > limit_ns:
@@ -335,7 +335,7 @@ def _deadman(window: EvidenceWindow) -> list[Link]:
     if last is None or not window.during(Decision):
         return [missing(_REQUESTS)]
     if isinstance(last.said, Decision):
-        text = f"the last acceptable drive command was seq {last.said.request_sequence} from {_who(last.said)}, "
+        text = f"the last valid drive command was seq {last.said.request_sequence} from {_who(last.said)}, "
         text += f"in tick {last.said.tick}, {window.ago(last.time_ns)}: {_asked(last.said)}"
         data = {**_numbers(last.said), "silent_ms": (window.at_ns - last.time_ns) / 1e6}
     else:

@@ -488,9 +488,9 @@ def _missing(robot: RobotSummary, report: Report) -> list[str]:
     said += [f"{getattr(sums, name)} {what}" for name, what in _LOSSES.items() if getattr(sums, name)]
     bare = [file.name for file in report.files if not file.is_accounted]
     if bare:
-        said.append(f"the recorder's account of {joined(bare, ', ')}")
+        said.append(f"unknown for {joined(bare, ', ')} (no account of losses)")
     elif not robot.completeness:
-        said.append("the recorder's account")
+        said.append("unknown (no account of losses)")
     return said
 
 

@@ -81,7 +81,7 @@ def gone(objects: FakeObjects) -> None:
 @pytest.mark.parametrize(
     ("state", "place", "line", "code"),
     [
-        (None, "https://logs.example.com/plant-1", "lists none: name one", ExitCode.USAGE),
+        (None, "https://logs.example.com/plant-1", "has no list: name one", ExitCode.USAGE),
         (None, "s3://logs/none.mcap", r"s3://logs/none\.mcap: there is no such object", ExitCode.FAILURE),
         (empty, "s3://logs", "there is no log in s3://logs", ExitCode.FAILURE),
         (gone, "s3://logs/plant-1", "no answer", ExitCode.UNREACHABLE),
