@@ -51,18 +51,14 @@ def test_three_samples_in_150_ms_are_believed(times_ms: tuple[int, ...], *, is_e
     assert read(Evidence(), *times_ms) is is_enough
 
 
-def test_what_was_contradicted_begins_anew() -> None:
-    evidence = Evidence()
+def test_evidence_starts_over_after_a_contradiction_or_a_long_pause() -> None:
+    evidence = Evidence(pause_max_ns=500 * MS)
     assert read(evidence, 0, 75, 150)
     evidence.clear()
     assert not read(evidence, 200, 210, 349)
     assert read(evidence, 350)
-
-
-def test_samples_before_a_pause_prove_nothing_where_nothing_would_contradict() -> None:
-    evidence = Evidence(pause_max_ns=500 * MS)
-    assert not read(evidence, 0, 501, 1002, 1503)
-    assert read(evidence, 1600, 2100)
+    assert not read(evidence, 851, 1352, 1853, 2354)
+    assert read(evidence, 2400, 2900)
 
 
 STOP = BY_VERB["stop"]
