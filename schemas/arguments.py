@@ -14,7 +14,7 @@ from schemas.keys import OPERATOR_PATTERN, ROBOT_PATTERN, ROBOTS_PATTERN
 def add_zenoh_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that name the robots' network: the Zenoh options and ``--root``."""
     add_link_arguments(parser)
-    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
+    parser.add_argument("--root", dest="robot.root", metavar="ROOT", help="root of all keys (default fleet)")
 
 
 def add_link_arguments(parser: argparse._ActionsContainer) -> None:
@@ -26,23 +26,19 @@ def add_link_arguments(parser: argparse._ActionsContainer) -> None:
         metavar="ENDPOINT",
         help="Zenoh endpoint to connect to, such as tcp/10.0.0.5:7447; may be repeated",
     )
-    parser.add_argument(
-        "--zenoh-config", dest="zenoh.config", metavar="FILE", help="a Zenoh configuration file to start from"
-    )
+    parser.add_argument("--zenoh-config", dest="zenoh.config", metavar="FILE", help="Zenoh configuration file")
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="the robot: its chunk of every key")
+    parser.add_argument("--robot", dest="robot.name", metavar="NAME", help="name of the robot, as in its keys")
     parser.add_argument("--interface", dest="can.interface", metavar="NAME", help="python-can interface")
-    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="the interface's channel")
-    parser.add_argument(
-        "--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="that the interface has, or sets"
-    )
+    parser.add_argument("--channel", dest="can.channel", metavar="CHANNEL", help="channel of the interface")
+    parser.add_argument("--bitrate", dest="can.bitrate", metavar="BIT/S", type=int, help="bit rate of the bus")
 
 
 def add_variant_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--variant", dest="chassis.variant", metavar="V", help="auto (from evidence), coarse or fine"
+        "--variant", dest="chassis.variant", metavar="V", help="firmware variant: auto, coarse or fine"
     )
 
 

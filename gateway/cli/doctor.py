@@ -75,9 +75,9 @@ OTHER_ROLES: Final = frozenset({"operator", "viewer", "desk", "recorder"})
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Listens to the bus, asks the gateway and the recorder, and checks this computer. Prints one line per "
-        "finding, with its cure, then the stopping distance that the settings add up to. Sends no command. Exit "
-        "code 1 if something must be done."
+        "Listens to the bus, asks the gateway and the recorder, and checks this computer. Prints one line per\n"
+        "finding, with its cure, then the stopping distance that the settings add up to. Sends no command.\n"
+        "Exit code 1 if something must be done."
     )
     add_bus_arguments(parser)
     parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="directory of the logs")

@@ -259,7 +259,7 @@ def _keys(cockpit: Cockpit) -> list[str]:
 
 
 EXAMPLE = """\
-  cruiser drive cruiser-1                                     hold w s a d, arrows, u o m . (curves); x leaves
+  cruiser drive cruiser-1                                     hold w s a d, arrows, u o m . (curves); x quits
   cruiser drive cruiser-1 --speed 0.3 --angle 10 --seconds 5  for scripts; negative speeds are backward"""
 
 SPEED_MPS: Final = 0.4

@@ -42,9 +42,9 @@ _EXIT_CODES: Final = {STANDS: ExitCode.OK, REMOTE: ExitCode.REFUSED, OTHER: Exit
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Listens to the bus, reports what it finds, and stops a robot that no gateway commands: zero speed, "
-        "parking brake, then no more frames. Waits while a guard stops the robot, or the remote control has it: "
-        "afterwards the chassis would execute its last command again. The next gateway needs a reset. "
+        "Listens to the bus, reports what it finds, and stops a robot that no gateway commands: zero speed,\n"
+        "parking brake, then no more frames. Waits while a guard stops the robot, or the remote control has it:\n"
+        "afterwards the chassis would execute its last command again. The next gateway needs a reset.\n"
         "Not an emergency stop: that is the button on the robot."
     )
     add_bus_arguments(parser)

@@ -302,11 +302,33 @@ ABOUT: Final = {
 }
 
 
+_EXAMPLES: Final = {
+    "authority": "--standby standby.pub --router tls/router.example:7447",
+    "robot": "cruiser-1",
+    "operator": "ann",
+    "viewer": "hall",
+    "recorder": "depot",
+    "router": "router.example",
+    "desk": "desk.example",
+    "renew": "robot",
+    "sign": "operator-ann.request --robots 'depot-*' --hours 12",
+    "install": "robot-cruiser-1.bundle --fingerprint F",
+    "revoke": "ann",
+    "rotate": "authority.json",
+    "show": "revocations.statement --all",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(title="actions", dest="action", metavar="ACTION", required=True)
 
     def add(name: str, about: str) -> argparse.ArgumentParser:
-        action = actions.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+        action = actions.add_parser(
+            name,
+            help=about,
+            description=f"{about[0].upper()}{about[1:]}.",
+            epilog=f"example: cruiser provision {name} {_EXAMPLES.get(name, '')}".rstrip(),
+        )
         action.add_argument(
             "--directory",
             dest="authority.directory",
@@ -345,7 +367,7 @@ def _add_makers(add: Add) -> None:
         metavar="ENDPOINT",
         help="endpoint of the fleet's router, tls/HOST:PORT; may be repeated",
     )
-    authority.add_argument("--root", dest="robot.root", metavar="ROOT", help="first chunks of every key")
+    authority.add_argument("--root", dest="robot.root", metavar="ROOT", help="root of all keys (default fleet)")
     _add_replace(authority)
     _add_passphrase(authority, makes_keys=True)
 

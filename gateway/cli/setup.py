@@ -221,7 +221,7 @@ NOBODY_DRIVES: Final = frozenset({"other_commander", "two_gateways"})
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Asks what it needs, writes the settings, installs the authority's bundles and starts the services, "
+        "Asks what it needs, writes the settings, installs the authority's bundles and starts the services,\n"
         "unless the robot is being driven. Prints each step, and ends with 'cruiser doctor'. Sends no command."
     )
     parser.add_argument(
