@@ -45,13 +45,17 @@ end() { # the gateways first: they bring their robots to rest
     wait
 } 2>/dev/null
 
-start() { # NAME WORDS... until the script ends; what it says goes to NAME.log
+begin() { # NAME WORDS... until the script ends; its output goes to NAME.log
     local name=$1
     shift
     printf '  $ cruiser %s &\n' "$*"
     cruiser "$@" >"$name.log" 2>&1 &
     pid[$name]=$!
-    wait_until test -s "$name.log"
+}
+
+start() { # NAME WORDS... and wait for its first output
+    begin "$@"
+    wait_until test -s "$1.log"
 }
 
 wait_until() { # COMMAND...
@@ -125,7 +129,7 @@ must_end_with 0 reset cruiser-2 --config ann/operator.toml --of "vic (unproven)"
 echo "the operator's grant is revoked while the robot drives: it stops, and the operator is locked out"
 key=$(sed -nE 's/.*"name":"ann","key":"([0-9a-f]+)".*/\1/p' authority/issued.jsonl)
 must_end_with 0 provision revoke --public-key "$key" --directory authority -o revocations.statement
-start drive drive cruiser-1 --config ann/operator.toml --speed 2 --seconds 600 --deadman 1
+begin drive drive cruiser-1 --config ann/operator.toml --speed 2 --seconds 600 --deadman 1
 wait_until shows "^cruiser-1 +driving .* driver ann"
 must_end_with 0 provision show revocations.statement --all --directory vic
 if wait "${pid[drive]}" || ! grep grant_revoked drive.log; then exit 1; fi

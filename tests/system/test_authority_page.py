@@ -34,16 +34,16 @@ STAYS: Final = {
 }
 # Commands that run until Ctrl-C, and their output.
 REPEATS: Final = {
-    "cruiser provision show revocations.statement --all --every 60": "cruiser-1: has it",
+    "cruiser provision show revocations.statement --all --every 60": "cruiser-1: already has",
 }
 # Output of the other commands.
 SAYS: Final = {
     "cruiser list": "cruiser-1 +(?!offline)[a-z]",
-    "cruiser stop cruiser-1": "cruiser-1: stops",
+    "cruiser stop cruiser-1": "cruiser-1: stopped",
     "cruiser provision sign operator-ann.request --speed-limit 0.8 --hours 12": "at most 0.8 m/s",
-    "cruiser provision show revocations.statement --all": "cruiser-1: taken over",
-    "cruiser provision show robot-cruiser-1.bundle --robot cruiser-1": "cruiser-1: taken over",
-    "cruiser provision show rotation.statement --all": "cruiser-1: taken over",
+    "cruiser provision show revocations.statement --all": "cruiser-1: accepted",
+    "cruiser provision show robot-cruiser-1.bundle --robot cruiser-1": "cruiser-1: accepted",
+    "cruiser provision show rotation.statement --all": "cruiser-1: accepted",
 }
 NOT_HERE: Final = {"cruiser drive cruiser-1": "wants somebody at the keys; tests/system has signed drives"}
 
@@ -86,7 +86,7 @@ class Page:
         assert code == 0, (machine, command, shown)
         assert "Traceback" not in shown, (machine, command, shown)
         assert re.search(SAYS.get(command, ""), shown), (machine, command, shown)
-        self._fingerprint = (re.findall(r"of authority ([0-9a-f-]{39})", shown) or [self._fingerprint])[-1]
+        self._fingerprint = (re.findall(r"authority ([0-9a-f-]{39})", shown) or [self._fingerprint])[-1]
 
     def start(self, machine: str, command: str, says: str) -> subprocess.Popen[str]:
         log = self.place / f"{len(self._running)}.log"
