@@ -57,7 +57,7 @@ from schemas.authority.key_files import AUTHORITY_FILE, directory_of
 from schemas.authority.proof import Grant, GrantRole, Revocations, Rotation, Signed, chain_text
 from schemas.authority.trust import AuthorityKeys, in_utc, key_fingerprint, keys_fingerprint
 from schemas.codec import PAYLOAD_ERRORS
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, UsageError, plain
 from schemas.decisions import StatementReply
 from schemas.reasons import Reason
 from schemas.settings import Settings
@@ -110,7 +110,7 @@ def wanted_grant(arguments: argparse.Namespace, request: EnrolmentRequest, last:
     given = [name for name in _GRANT_FLAGS if getattr(arguments, name) not in (None, False)]
     if request.role is not TransportRole.OPERATOR and set(given) - _FOR_ALL:
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in given)
-        raise CommandError(f"{flags}: not for a {request.role.value}", ExitCode.USAGE)
+        raise UsageError(f"{flags}: not for a {request.role.value}")
     usual_s = PERSON_S if request.role in {TransportRole.OPERATOR, TransportRole.VIEWER} else OTHERS_S
     usual = [] if request.role is TransportRole.RECORDER else ROBOT_VERBS
     last_role = last.role if last and last.role in PERSONS else GrantRole.OPERATOR
@@ -187,7 +187,7 @@ def run_show(arguments: argparse.Namespace, settings: Settings, store: KeyStore,
     try:
         chain = chain_of(read_input(file))
     except EnrolmentError as error:
-        raise CommandError(f"{plain(str(file))}: {error}", ExitCode.USAGE) from error
+        raise UsageError(f"{plain(str(file))}: {error}") from error
 
     def show(port: StatementPort, robot: str) -> _Answer:
         question = new_question()
@@ -468,16 +468,12 @@ def _authority(arguments: argparse.Namespace, store: KeyStore, settings: Setting
         .strip()
     )
     if re.fullmatch("[0-9a-f]{64}", text) is None:
-        raise CommandError(
-            f"{plain(arguments.standby)} is not the {STANDBY_FILE} of a standby key", ExitCode.USAGE
-        )
+        raise UsageError(f"{plain(arguments.standby)} is not the {STANDBY_FILE} of a standby key")
     try:
         fleet = msgspec.convert({"root": settings.robot.root, "routers": arguments.router}, FleetPlace)
     except msgspec.ValidationError as error:
         shown = plain(", ".join(arguments.router))
-        raise CommandError(
-            f"--router {shown}: an endpoint has the form tls/HOST:PORT ({error})", ExitCode.USAGE
-        ) from error
+        raise UsageError(f"--router {shown}: an endpoint has the form tls/HOST:PORT ({error})") from error
     authority = make_authority(store, text, fleet, _now_s(), replace=arguments.replace)
     _say(f"authority {Issuer.open(store).fingerprint} in {store.directory}")
     _say("compare this fingerprint wherever a bundle is installed")
@@ -493,9 +489,9 @@ class _Output:
         self._replace = arguments.replace
         shown = plain(str(self.path))
         if os.path.lexists(self.path) and not self._replace:
-            raise CommandError(f"{shown} is there already; --replace overwrites it", ExitCode.USAGE)
+            raise UsageError(f"{shown} is there already; --replace overwrites it")
         if not os.access(self.path.parent, os.W_OK | os.X_OK):
-            raise CommandError(f"{shown} cannot be written: no such directory, or no permission", ExitCode.USAGE)
+            raise UsageError(f"{shown} cannot be written: no such directory, or no permission")
 
     def write(self, text: str) -> None:
         write_file(self.path, text, FOR_ALL, replace=self._replace)
@@ -519,14 +515,12 @@ def _sign(arguments: argparse.Namespace, store: KeyStore) -> None:
         request = read_request(text)
     fingerprint = request_fingerprint(request)
     if arguments.fingerprint not in (None, fingerprint):
-        raise CommandError(
-            f"{plain(str(file))} has the fingerprint {fingerprint}: another request than expected", ExitCode.USAGE
-        )
+        raise UsageError(f"{plain(str(file))} has the fingerprint {fingerprint}: another request than expected")
     issuer = Issuer.open(store)
     with naming(file):
         known = issuer.others(request)
     if known and not arguments.replace:
-        raise CommandError(f"{plain(str(file))}: {known}. --replace signs this key as well", ExitCode.USAGE)
+        raise UsageError(f"{plain(str(file))}: {known}. --replace signs this key as well")
     last = issuer.last_grant(request)
     wanted = wanted_grant(arguments, request, last)
     output = _Output(arguments, file.with_suffix(".bundle"))
@@ -549,16 +543,15 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
     with naming(arguments.bundle):
         bundle = read_bundle(text, _now_s())
     if arguments.fingerprint not in (None, bundle.fingerprint):
-        raise CommandError(
-            f"{plain(arguments.bundle)} is from the authority {bundle.fingerprint}, not from the one given",
-            ExitCode.USAGE,
+        raise UsageError(
+            f"{plain(arguments.bundle)} is from the authority {bundle.fingerprint}, not from the one given"
         )
     try:
         files, until_s = install(
             store, bundle, replace=arguments.replace, is_compared=arguments.fingerprint is not None
         )
     except ValueError as error:
-        raise CommandError(f"{plain(arguments.bundle)}: {error}", ExitCode.USAGE) from error
+        raise UsageError(f"{plain(arguments.bundle)}: {error}") from error
     _say(f"{store.directory}: {', '.join(files)}")
     _say(f"{bundle.role.value} {plain(bundle.name)}, from authority {bundle.fingerprint}")
     after = _AFTER.get(bundle.role, f"export CRUISER_CONFIG={{}}/{bundle.role.value}.toml").format(store.directory)
@@ -567,16 +560,14 @@ def _install(arguments: argparse.Namespace, store: KeyStore, _settings: Settings
 
 def _revoke(arguments: argparse.Namespace, store: KeyStore) -> None:
     if not (arguments.names or arguments.public_key or arguments.epoch):
-        raise CommandError("nothing to revoke: give NAME, --public-key or --epoch", ExitCode.USAGE)
+        raise UsageError("nothing to revoke: give NAME, --public-key or --epoch")
     issuer = Issuer.open(store)
     issued, keys = issuer.issued(), list(arguments.public_key)
     revoked: list[str] = []
     for name in arguments.names:
         found = {one.holder.hex(): one.role for one in issued if one.name == name and one.key}
         if not found:
-            raise CommandError(
-                f"no grant for {name!a} was made here: see {store.path(ISSUED_FILE)} for all names", ExitCode.USAGE
-            )
+            raise UsageError(f"no grant for {name!a} was made here: see {store.path(ISSUED_FILE)} for all names")
         keys += sorted(found)
         revoked += [f"{found[key]} {name}, key {key_fingerprint(key)}" for key in sorted(found)]
     output = _Output(arguments, Path("revocations.statement"))
@@ -591,14 +582,11 @@ def _rotate(arguments: argparse.Namespace, store: KeyStore) -> None:
         authority = msgspec.json.decode(read_input(Path(arguments.authority)), type=AuthorityKeys)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
         shown = plain(arguments.authority)
-        raise CommandError(
-            f"{shown} is not the authority.json of a new authority: {error}", ExitCode.USAGE
-        ) from error
+        raise UsageError(f"{shown} is not the authority.json of a new authority: {error}") from error
     fingerprint = keys_fingerprint(authority)
     if arguments.fingerprint not in (None, fingerprint):
-        raise CommandError(
-            f"{plain(arguments.authority)} has the keys {fingerprint}: another authority than expected",
-            ExitCode.USAGE,
+        raise UsageError(
+            f"{plain(arguments.authority)} has the keys {fingerprint}: another authority than expected"
         )
     output = _Output(arguments, Path("rotation.statement"))
     signed = rotate(store, authority, _now_s())

@@ -36,7 +36,7 @@ from gateway.provisioning.issuer import install, unknown_of
 from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates, replace_whole
 from schemas.arguments import robot_name
 from schemas.authority.key_files import find
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, UsageError, plain
 from schemas.configuration import write_key, write_value
 from schemas.settings import STANDSTILL_MPS, CanSettings, Settings
 
@@ -250,9 +250,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     """Set the robot up. Returns the exit code of doctor at the end."""
     del settings  # The settings of the file to write count, not those of this call.
     if arguments.config is not None:
-        raise CommandError(f"setup writes {CONFIGURATION}; --config is not supported", ExitCode.USAGE)
+        raise UsageError(f"setup writes {CONFIGURATION}; --config is not supported")
     if os.geteuid() != 0:
-        raise CommandError("setup writes system files: run it as root", ExitCode.USAGE)
+        raise UsageError("setup writes system files: run it as root")
     return int(set_up(arguments, Machine(), stopped))
 
 
@@ -346,7 +346,7 @@ def _answers(
     robot = next((one for one in bundles if one.role is TransportRole.ROBOT), None)
     name = robot.name if robot else ask("the robot's name", before.robot.name, arguments.robot, robot_name)
     if arguments.robot not in {None, name}:
-        raise CommandError(f"the bundle is for {plain(name)}, not {arguments.robot}", ExitCode.USAGE)
+        raise UsageError(f"the bundle is for {plain(name)}, not {arguments.robot}")
     interface = arguments.interface or before.can.interface
     channel, bitrate = before.can.channel, 0
     found = can_interfaces(machine.path("/sys/class/net"))
@@ -381,13 +381,13 @@ def _answers(
 
 def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
     if not sys.stdin.isatty():
-        raise CommandError("no terminal for questions: use --defaults", ExitCode.USAGE)
+        raise UsageError("no terminal for questions: use --defaults")
     while True:
         try:
             answer = input(prompt).strip() or default
             check(answer)
         except EOFError as error:
-            raise CommandError(f"no answer: {prompt}", ExitCode.USAGE) from error
+            raise UsageError(f"no answer: {prompt}") from error
         except argparse.ArgumentTypeError as error:
             say(str(error))
         else:
@@ -440,17 +440,16 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
         name = plain(str(file))
         found = find(file)
         if not found.is_own and str(file.stat().st_uid) != os.environ.get("SUDO_UID"):
-            raise CommandError(f"{name} belongs to another user; chown it to yours", ExitCode.USAGE)
+            raise UsageError(f"{name} belongs to another user; chown it to yours")
         try:
             bundle = read_bundle(found.content, int(time.time()))
             ended_s = time.time() - expires_s(read_certificates(bundle.certificate)[0])
         except EnrolmentError as error:
-            raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
+            raise UsageError(f"{name}: {error}") from error
         if ended_s > 0:
-            raise CommandError(
+            raise UsageError(
                 f"{name}: its certificate ended {ended_s / 86_400:.1f} days ago -> request another with "
-                f"'cruiser provision renew {bundle.role.value}'",
-                ExitCode.USAGE,
+                f"'cruiser provision renew {bundle.role.value}'"
             )
         if bundle.role not in SERVICE_OF:
             raise CommandError(f"{name} is for a {bundle.role.value}: no service here uses it")
@@ -463,9 +462,8 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
     fresh = []
     for file, bundle in bundles.items():
         if arguments.fingerprint not in {None, bundle.fingerprint}:
-            raise CommandError(
-                f"{plain(str(file))} is from the authority {bundle.fingerprint}, not from the one given",
-                ExitCode.USAGE,
+            raise UsageError(
+                f"{plain(str(file))} is from the authority {bundle.fingerprint}, not from the one given"
             )
         store = KeyStore(machine.path(f"{KEYS}/{SERVICE_OF[bundle.role]}"))
         if arguments.fingerprint is None and unknown_of(store, bundle):
@@ -473,9 +471,9 @@ def _compare(arguments: argparse.Namespace, machine: Machine, bundles: dict[Path
     for fingerprint in dict.fromkeys(fresh):
         showed = f"'cruiser provision authority' or 'sign' showed {fingerprint}"
         if arguments.defaults:
-            raise CommandError(f"unknown authority: confirm it with --fingerprint, if {showed}", ExitCode.USAGE)
+            raise UsageError(f"unknown authority: confirm it with --fingerprint, if {showed}")
         if _ask(f"unknown authority. Is it true that {showed}? yes or no [no]: ", "no", str) != "yes":
-            raise CommandError("not installed: the bundle is from another authority", ExitCode.USAGE)
+            raise UsageError("not installed: the bundle is from another authority")
 
 
 def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> None:
@@ -499,7 +497,7 @@ def _install(machine: Machine, file: Path, bundle: Bundle, *, replace: bool) -> 
         try:
             files, _ = install(store, bundle, replace=replace, is_compared=True)
         except ValueError as error:
-            raise CommandError(f"{name}: {error}", ExitCode.USAGE) from error
+            raise UsageError(f"{name}: {error}") from error
     say(f"    {', '.join(files)}, from authority {bundle.fingerprint}")
 
 
