@@ -111,7 +111,7 @@ MEASURES: Final[dict[type[msgspec.Struct], list[Measure]]] = {
         ("publish_failures_total", "publish_failures", "Samples that Zenoh did not accept."),
         ("inbox_drops_total", "inbox_drops", "Requests dropped unread since the start, because too many came."),
         ("variant", "variant", "The firmware variant in force.", "variant"),
-        ("frames_total", "frames", "CAN frames received since the start, whatever they were."),
+        ("frames_total", "frames", "CAN frames received since the start, of any kind."),
         ("faults_total", "faults", "Faults since the start.", "kind"),
         ("unknown_identifiers_total", "unknown_identifiers", "Frames that are not in the DBC.", "identifier"),
         ("tick_lateness_p50_seconds", "tick_lateness_p50_ms", "Delay of the last second's ticks, p50.", 1000),

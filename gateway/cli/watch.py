@@ -98,7 +98,7 @@ def show(sightings: Sightings, draw: Draw, every_s: float, ends: Callable[[], bo
 
 
 def _live(sightings: Sightings, console: Console, ends: Callable[[], bool], *, is_one: bool) -> None:
-    # Drawn from this thread alone, so that rich needs none of its own. On the terminal's other screen: neither a
+    # Drawn from this thread, so that rich starts no other. On the terminal's other screen: neither a
     # window that changes its size nor the end of the view may leave old values that somebody reads as current.
     with Live(console=console, auto_refresh=False, screen=True) as live:
 

@@ -97,7 +97,7 @@ const ZH = {
     driving: "行驶中", in_control: "受控", ready: "就绪", telemetry: "仅遥测",
   },
   counted: {},
-  // Of each reason what it means, and the cure in the words of this page. ROBOT stands for the robot's name.
+  // Meaning and cure of each reason, with this page's buttons. ROBOT stands for the robot's name.
   reason: {
     none: ["没有异常", ""],
     malformed: ["请求不符合规定的格式", "只发送格式规定的字段；客户端较新时，网关可能也需要更新"],
@@ -166,14 +166,14 @@ const ZH = {
     stopped_by_other: ["别人停下了机器人，可能就站在它前面", "先问那个人，再按“复位”"],
     idle: ["太久没有收到带速度的行驶指令，机器人已退出接合", "按“取得控制权”"],
   },
-  // The same where a reason is said of a robot, not of a request.
+  // Reasons whose text differs for a robot, as opposed to a request.
   of_robot: {
     no_lease: ["没有人持有控制权", "按“取得控制权”"],
     grant_expired: ["机器人自己的授权已过期，或尚未生效", "时钟不准就校正时钟；否则：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace'"],
     grant_revoked: ["机器人自己的授权已被撤销", "如果授权方已更换：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace --fingerprint F'；否则询问授权方"],
     grant_unknown: ["机器人自己的授权不是它所认识的授权方签发的", "重新接纳它：在机器人上 'cruiser provision renew robot'，在授权方 'sign'，再 'install --replace --fingerprint F'"],
   },
-  // Sentences of robots, by the kind of event: $1 is a part as it was sent, {1} one that is put in words as well.
+  // Sentences of robots, by kind of event: $1 is a part as sent, {1} one that is translated too.
   event: {
     lease: [
       [/^(\S+) has acquired the lease as (\w+)$/, "$1 取得了控制权（{2}）"],
@@ -198,7 +198,7 @@ const ZH = {
     guard: [[/^the guard's stop has ended: (.+)$/, "看护进程的停车已结束：{1}"]],
     gateway: [[/^shutting down$/, "网关正在关闭"]],
   },
-  // What stands in them, and what else robots and the desk say in a fixed set of words.
+  // Parts of these, and other fixed sentences of robots and the desk.
   said: [
     [/^by (\S+)$/, "由 $1"], [/^by (\d+) ms$/, "迟到 $1 ms"], [/^none for (\d+) ms$/, "$1 ms 没有指令"], [/^(\w+) \((.+)\)$/, "{1}（{2}）"],
     [/^nothing was latched$/, "没有锁定项"], [/^the chassis did not switch to mode auto$/, "底盘没有切换到自动模式"],
@@ -242,22 +242,22 @@ let words = (localStorage.getItem("language") ?? navigator.language).startsWith(
 /** A text of the page; $1 and so on are these parts. */
 export const t = (name, ...parts) => (words[name] ?? EN[name] ?? name).replace(/\$(\d)/g, (_, at) => parts[at - 1]);
 
-/** What a robot does or suffers. */
+/** A robot's word in the page's language. */
 export const wordOf = (word) => words.word[word] ?? word;
 
-/** So many robots do or suffer this: "2 need reset". */
+/** A number of robots with this word: "2 need reset". */
 export const countOf = (count, word) => `${count} ${words.counted[word]?.[count === 1 ? 0 : 1] ?? wordOf(word)}`;
 
-/** All words, the gravest first. */
+/** All words, worst first. */
 export const WORDS = Object.keys(EN.word);
 
-/** The meaning of a reason; in English where the language has no words for it. */
+/** The meaning of a reason; in English without a translation. */
 export const meaningOf = (reason, means) => words.reason[reason]?.[0] ?? means ?? EN.reason[reason]?.[0] ?? reason;
 
-/** The cure of a reason for which a request was refused; in the robot's words where the page has none. */
+/** The cure of a refused request; in the robot's words without a translation. */
 export const cureOf = (reason, cure, robot) => (words.reason[reason]?.[1] ?? EN.reason[reason]?.[1] ?? cure).replaceAll("ROBOT", robot);
 
-/** Meaning and cure of a reason for which a robot does not move, as the desk says them in English. */
+/** Meaning and cure of a reason why a robot does not move; in the desk's English without a translation. */
 export function whyOf(reason, means, cure, robot) {
   const [ours, how] = words.of_robot[reason] ?? words.reason[reason] ?? [means, cure];
   return [ours, how.replaceAll("ROBOT", robot)];
@@ -266,10 +266,10 @@ export function whyOf(reason, means, cure, robot) {
 /** A value of the chassis. */
 export const valueOf = (value) => words.value[value] ?? value;
 
-/** What a row says of its robot; in English where the language has no words for its reasons. */
+/** The text of a robot's row; in English without a translation of its reasons. */
 export const textOf = (row) => (words === EN || row.reasons.length === 0 ? said(row.text) : row.reasons.map((one) => (words.of_robot[one] ?? [meaningOf(one)])[0]).join("；"));
 
-/** What a robot or the desk said in English, in the page's language as far as it is of a fixed set of words. */
+/** A sentence of a robot or the desk in the page's language, as far as it is known. */
 export function said(text) {
   if (words === EN || !text) return text;
   return sentence(text) ?? text.split("; ").map((part) => sentence(part) ?? part).join("；");
@@ -287,7 +287,7 @@ function sentence(text) {
   return all.length > 1 && all.every((one) => one in EN.reason) ? all.map((one) => meaningOf(one)).join("、") : null;
 }
 
-/** Take over the meanings and cures that the desk knows, in English. */
+/** Store the desk's English meanings and cures. */
 export function learnReasons(reasons) {
   EN.reason = reasons;
 }
@@ -299,5 +299,5 @@ export function changeLanguage() {
 
 export const language = () => (words === ZH ? "zh" : "en");
 
-/** The language of something that was said in English, once it was put in the page's. */
+/** The language of a sentence after `said`. */
 export const languageOf = (text) => (said(text) === text ? "en" : language());

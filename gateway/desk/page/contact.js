@@ -1,10 +1,10 @@
-// How old is what the page shows? By the page's own clock: a process that hangs or has died does not say so.
+// The age of what the page shows, by the page's own clock: a hanging or dead process does not report itself.
 
 export const FRESH_MS = 1000; // as for `cruiser watch`: older than that nothing is shown as current
 
 const DRIFT = 0.01; // a clock that is being set right runs this much fast or slow, at most
 
-/** A robot's own times beside the page's: what took longer to come than the quickest has waited on the way. */
+/** Compares a robot's times with the page's: a sample slower than the quickest one has waited on the way. */
 export class SampleClock {
   constructor() {
     this.quickestMs = this.atMs = this.saidMs = -Infinity;

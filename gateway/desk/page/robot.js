@@ -14,7 +14,7 @@ const ANGLES = ["asked_deg", "told_deg", "angle_deg"];
 /** The speed limit in force, also of a robot that idles. */
 const limitOf = (safety) => Math.min(safety.speed_limit_mps, safety.travel_speed_limit_mps ?? Infinity);
 
-/** Beside the path there is room for a higher one. */
+/** A wide page has space for a higher chart. */
 const chartHeight = (chart) => (chart.clientWidth > 500 ? 205 : 170);
 
 export class RobotPage {
@@ -29,7 +29,7 @@ export class RobotPage {
     this.points = [[], ...[...SPEEDS, ...ANGLES].map(() => [])]; // time, and each field
     this.word = h("b", { class: "word" });
     this.what = h("span");
-    this.alert = h("span", { class: "heard", role: "alert" }); // what a screen reader says once, not ten times a second
+    this.alert = h("span", { class: "heard", role: "alert" }); // for screen readers: once, not ten times a second
     this.band = h("section", { class: "band wide", "aria-label": t("state") }, h("h1", {}, name), this.word, this.what, this.alert, driver.buttons);
     this.speed = h("span", { class: "big" });
     this.angle = h("span", { class: "big" });
@@ -156,7 +156,7 @@ export class RobotPage {
     return performance.now() - this.heardMs >= FRESH_MS;
   }
 
-  /** The one line that matters: the state as a word, who has it, why and since when. */
+  /** The most important line: state, driver, reason and time. */
   showBand(row) {
     const known = row !== undefined && (this.isLost ? row.word === "offline" : this.state !== null);
     this.band.className = `band wide level${this.isLost ? 2 : known ? row.level : 1}`;
