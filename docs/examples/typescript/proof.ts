@@ -30,7 +30,7 @@ export function messageText(kind: string, message: Message, fields: Uint8Array, 
   return signedText(kind, utf8(message.key), utf8(message.encoding), fields, message.payload, ...request);
 }
 
-/** A key that signs verbs, the grant that makes robots obey it, and the authority that robots are known by. */
+/** A key that signs verbs, its grant, and the authority that signs robots. */
 export class Operator {
   private constructor(
     private readonly key: CryptoKey,
@@ -94,7 +94,7 @@ export function runOf(attachment: Uint8Array): Uint8Array {
   return attachment.slice(1, ROBOT_FIELDS_BYTES);
 }
 
-/** Is this `sequence` after the newest one that was believed? After the last number, 0 follows. */
+/** Is this `sequence` after the newest accepted one? It wraps to 0. */
 export function isAhead(sequence: number, newest?: number): boolean {
   return newest === undefined || ((sequence - newest) | 0) > 0; // the difference as a signed number of 32 bits
 }
@@ -132,7 +132,7 @@ export class Bundle {
     readonly statement: string,
     /** The authority's active public key, hexadecimal. */
     readonly authority: string,
-    /** Of all that it brings of the authority: nobody but who compares it knows whose authority that is. */
+    /** Fingerprint of all that the bundle says of the authority, for the user to compare. */
     readonly fingerprint: string,
   ) {}
 

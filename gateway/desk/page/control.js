@@ -1,4 +1,4 @@
-// One robot, commanded by one operator: the lease, verbs, and the stream of drive commands. It knows no page.
+// One robot, commanded by one operator: the lease, verbs, and the stream of drive commands. Independent of the page.
 
 import { Lease, Robot, isAhead, random, runOf } from "./proof.js";
 
@@ -43,7 +43,7 @@ export class Control {
     this.shown = {}; // the newest sequence that was believed, by subject
   }
 
-  /** May it be shown? While this page drives in signed mode, no state that the robot did not sign in this run, or sent before. */
+  /** May it be shown? While this page drives in signed mode: only new states that the robot signed in this run. */
   async believes({ subject, key, encoding, payload, attachment }) {
     if (!this.signer || !this.driving || !SIGNED.includes(subject)) return true;
     if (!(await this.met.isPublication({ key, encoding, payload }, attachment, this.run))) return false;
@@ -70,7 +70,7 @@ export class Control {
     this.wasEngaged ||= this.driving && state.engaged && state.lease_holder === this.name;
   }
 
-  /** Show the robot the grant. Its reply proves who it is, and which run it is in. */
+  /** Send the robot the grant. Its reply proves its identity and its run. */
   async meet() {
     if (!this.signer) return;
     const question = random(16);
@@ -93,13 +93,13 @@ export class Control {
     throw why;
   }
 
-  /** Ask for a verb. Returns the robot's answer, and its attachment; a refusal is an error. */
+  /** Request a verb. Returns the robot's reply and its attachment; throws a refusal. */
   async ask(verb, request) {
     const payload = encode(request);
     const [encoding, replyEncoding] = this.hello.requests[verb];
     const message = { key: this.key(verb), encoding, payload };
     const signed = this.signer ? await this.signer.attach(message, (await this.current()).challenge) : NOTHING;
-    // The holder's tag: no flood of others' verbs keeps it waiting. One of a lease that is gone is not looked at.
+    // The lease's tag, so that a flood of others' verbs does not delay it; that of an ended lease is ignored.
     const attachment = this.proof ? await this.proof.tag(message, signed) : signed;
     const replies = await this.link.ask({ is: "ask", robot: this.robot, operator: this.name, verb, payload, attachment });
     const answers = [];
@@ -150,7 +150,7 @@ export class Control {
     }
   }
 
-  /** Wait for the end of a stop, and hold the lease meanwhile: a robot that was taken from somebody stops first. */
+  /** Wait for the end of a stop, holding the lease: a robot that was taken over stops first. */
   async standby() {
     for (let left = STOP_MS; (await this.current()).state !== "standby" && left > 0; left -= RENEW_MS) {
       await new Promise((resolve) => setTimeout(resolve, RENEW_MS));
@@ -167,7 +167,7 @@ export class Control {
     this.timer = setInterval(() => this.tick(), PERIOD_MS);
   }
 
-  /** Send what is asked for now. Signing is quick, but never reordered: one command after the other. */
+  /** Send the requested motion. Commands are signed one after the other, so that they keep their order. */
   async tick() {
     const nowMs = performance.now();
     const slept = nowMs - this.tickMs > ASLEEP_MS;
@@ -202,7 +202,7 @@ export class Control {
     this.onend(reason, detail);
   }
 
-  /** Give the lease back; an engaged robot stops. */
+  /** Release the lease; an engaged robot stops. */
   async release() {
     const { lease } = this;
     this.lease = null;
@@ -216,7 +216,7 @@ export class Control {
     }
   }
 
-  /** Reset what is latched; the lease is held for it, and given back. @param of whose stop that is, if it is somebody else's. */
+  /** Reset the latches with a lease, and release it. @param of operator of the stop, if it is another one. */
   async reset(of) {
     await this.meet();
     await this.current();

@@ -1,4 +1,4 @@
-// The panel to drive a robot: who commands, the lease, hold to drive.
+// The panel to drive a robot: operator, lease, hold to drive.
 
 import { Control } from "./control.js";
 import { h, setText } from "./elements.js";
@@ -11,7 +11,7 @@ const HORN_MS = 600;
 const SPEEDS = { min: "0.1", max: "2.2", step: "0.1" };
 const NAME = /^[A-Za-z0-9_.-]{1,64}$/;
 
-/** The name under which this browser commands in open mode, and stops in any: its own, until somebody types theirs. */
+/** The name under which this browser commands in open mode, and stops in any mode: generated, until a user types one. */
 export function operatorName() {
   // Another page of this address may have stored anything: a stop must not fail for a name.
   const name = localStorage.getItem("operator") ?? "";
@@ -80,14 +80,14 @@ export class DrivePanel {
     return true;
   }
 
-  /** Who signs here, and what the grant allows. */
+  /** The operator who signs, and the rights of the grant. */
   rights() {
     const { role, verbs, speed_limit_mps: limit, not_after: end } = keys.grantOf(this.signer);
     const until = new Date(1000 * end).toLocaleString([], { dateStyle: "short", timeStyle: "short" });
     return [`${t("signed_as")} ${this.signer.name}`, t(verbs.includes("drive") ? role : "maintainer"), limit && `${t("at_most")} ${limit} m/s`, `${t("until")} ${until}`].filter(Boolean).join(", ");
   }
 
-  /** Does the grant allow this? In open mode everything may be asked, and the robot refuses what it does not allow. */
+  /** Does the grant allow this? In open mode the robot decides. */
   may(verb) {
     if (this.signer === null) return verb !== "override";
     const grant = keys.grantOf(this.signer);
@@ -98,7 +98,7 @@ export class DrivePanel {
     return this.may("drive") && this.may("engage");
   }
 
-  /** Reset what is latched: the stop of whom the button names, and no other's that comes meanwhile. */
+  /** Reset the latches, and only the stop of the operator whom the button names. */
   async clear() {
     const of = this.stopper;
     await (await this.newControl()).reset(of);
@@ -167,7 +167,7 @@ export class DrivePanel {
     this.update(this.safety);
   }
 
-  /** Why something was not done; of a refusal with its cure. */
+  /** Why something was not done; for a refusal with its cure. */
   inWords({ message, reason, cure }) {
     return [said(message), reason && cureOf(reason, cure, this.robot)].filter(Boolean).join(t("stop_mark"));
   }
@@ -176,12 +176,12 @@ export class DrivePanel {
     this.control?.receiveState(sample);
   }
 
-  /** May it be shown as what the robot says? */
+  /** May it be shown as the robot's state? */
   async believes(sample) {
     return this.control?.believes(sample) ?? true;
   }
 
-  /** The name in this very page: another one of the same browser may have another. */
+  /** The name in this page: other pages of this browser may have others. */
   get ownName() {
     return this.signer ? this.signer.name : NAME.test(this.name.value) ? this.name.value : operatorName();
   }
@@ -190,7 +190,7 @@ export class DrivePanel {
     return this.control?.driving ?? false;
   }
 
-  /** Show what can be done now. @param safety the arbiter's state; null if none is current. */
+  /** Show the available actions. @param safety the arbiter's state; null if none is current. */
   update(safety) {
     this.safety = safety;
     const { driving } = this;
@@ -241,7 +241,7 @@ function keysBox(changed) {
     URL.revokeObjectURL(anchor.href);
     return `${t("request")} ${fingerprint}: ${t("compare_request")}`;
   });
-  // What is loaded is taken over once somebody has compared whose authority it is of.
+  // A loaded bundle is accepted after the user has compared its authority.
   let loaded = null;
   const take = h("button", { type: "button", hidden: true, onclick: attempt(async () => {
     take.hidden = true;

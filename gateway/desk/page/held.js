@@ -27,7 +27,7 @@ export class Held {
     on(pad, "pointerdown", (event) => {
       if (this.pointer || event.button !== 0) return;
       pad.setPointerCapture(event.pointerId);
-      // The pad is taken as it is now: what is asked for does not change when the page moves under a finger at rest.
+      // The pad's place is read once: the request must not change when the page moves under a resting finger.
       this.box = pad.getBoundingClientRect();
       this.pointer = { id: event.pointerId, ...this.place(event) };
       event.preventDefault();
@@ -70,7 +70,7 @@ export class Held {
     this.needsRelease = true;
   }
 
-  /** What is asked for, as shares of the chosen speed and angle; null if nothing is held. */
+  /** The requested shares of the chosen speed and angle; null if nothing is held. */
   wish() {
     if (document.hidden || !document.hasFocus()) this.letGo();
     if (this.pointer) return this.pointer;

@@ -24,7 +24,7 @@ export class Link {
     return performance.now() - this.heardMs;
   }
 
-  /** Call back with each message of a kind, and with `opened` and `closed`. */
+  /** Add a listener for a kind of message, or for `opened` and `closed`. */
   on(kind, handler) {
     this.handlers.set(kind, [...(this.handlers.get(kind) ?? []), handler]);
   }
@@ -47,7 +47,7 @@ export class Link {
     this.socket = socket;
   }
 
-  /** The connection has ended, or is of no use; another one is made. */
+  /** The connection has ended or hangs: make another one. */
   lose(socket) {
     socket.onmessage = socket.onopen = socket.onclose = null;
     socket.close();
@@ -74,14 +74,14 @@ export class Link {
     for (const handler of this.handlers.get(kind) ?? []) handler(message);
   }
 
-  /** Send; false where there is no connection. Nothing is kept for later: an old command is worse than none. */
+  /** Send; false without a connection. Nothing is queued: an old command is worse than none. */
   send(message) {
     if (!this.connected) return false;
     this.socket.send(MessagePack.encode(message));
     return true;
   }
 
-  /** Ask, and return all replies. */
+  /** Send a query, and return all replies. */
   ask(message) {
     const number = ++this.number;
     return new Promise((resolve) => {

@@ -1,4 +1,4 @@
-// The logs: what was found in them, incidents first, each with its report, its reason and viewers.
+// The logs: search results, incidents first, each with its report, its reason and viewers.
 
 import { h } from "./elements.js";
 import { languageOf, meaningOf, said, t, valueOf } from "./words.js";
@@ -13,7 +13,7 @@ const nameOf = (file) => file.split("/").pop();
 const told = (text) => h("span", { lang: languageOf(text) }, said(text));
 const reportOf = (name, moment = "") => `reports/${part(name)}${moment && `#${moment}`}`;
 
-/** The answer to a question as text. Throws an Error with a line for people. */
+/** Fetch an answer as text. Throws an Error with a line for people. */
 async function ask(path) {
   const answer = await fetch(path).catch(() => {
     throw new Error(t("no_server"));
@@ -23,7 +23,7 @@ async function ask(path) {
   return text;
 }
 
-/** What goes with an answer, and what was found, newest first. A line that was cut off at a bound is left out. */
+/** Header and results of an answer, newest first, without an incomplete last line. */
 async function find(search, flags) {
   const lines = (await ask(`find?${new URLSearchParams({ search, ...flags })}`)).split("\n").filter(Boolean);
   const [head, ...found] = lines.flatMap((line) => {
@@ -36,7 +36,7 @@ async function find(search, flags) {
   return [head, found.reverse()];
 }
 
-/** Where a viewer opens a log, at a moment. */
+/** The link that opens a log in a viewer at a moment. */
 function viewerOf(viewer, name, time) {
   const url = new URL(viewer.url);
   url.searchParams.set("ds", "remote-file");
@@ -62,7 +62,7 @@ export class LogsPage {
     this.fill(sections);
   }
 
-  /** The flags of "cruiser review find". The address of the page says the search, and can be passed on. */
+  /** The flags of "cruiser review find". The page's address contains the search, and can be shared. */
   form(search) {
     const option = (value) => h("option", { value, selected: value === search }, t(value || "incidents_and_logs"));
     const field = (name, more = {}) => h("label", {}, t(`find_${name}`), h("input", { name, value: this.flags[name] ?? "", maxlength: 300, autocomplete: "off", spellcheck: "false", ...more }));
@@ -70,7 +70,7 @@ export class LogsPage {
       event.preventDefault();
       const asked = new URLSearchParams([...new FormData(event.target)].map(([name, value]) => [name, value.trim()]).filter(([, value]) => value));
       const hash = `#/logs${asked.size ? `?${asked}` : ""}`;
-      // The same search again is one for what has come since.
+      // Repeating a search finds newer logs.
       if (hash === location.hash) dispatchEvent(new HashChangeEvent("hashchange"));
       else location.hash = hash;
     };
@@ -80,7 +80,7 @@ export class LogsPage {
       field("since", { placeholder: "7d, 2026-01-02" }), field("until"), this.reasons, h("button", {}, t("find_it"))));
   }
 
-  /** One after the other: the desk answers two questions at a time, and others may ask as well. */
+  /** One after the other, because the desk answers only two questions at a time. */
   async fill(sections) {
     for (const [search, place] of sections) {
       try {
@@ -109,7 +109,7 @@ const secondsOf = (one) => {
 
 const metersOf = ({ distance_m: m, missing_s: missing, gap_s: gap }) => (missing || gap ? "\u2265 " : "") + (m >= 1000 ? `${(m / 1000).toFixed(1)} km` : `${(m ?? 0).toFixed(1)} m`);
 
-/** Of each kind of answer its cells, as [name, kind, content]. */
+/** The cells of each kind of result, as [name, kind, content]. */
 const CELLS = {
   logs: (one) => [
     ["robot", "name", one.names.join(", ") || "--"], ["lasted", "number", one.messages ? secondsOf(one) : "--"], ["distance", "number", metersOf(one)],

@@ -1,4 +1,4 @@
-// The logs of a desk that has no robots.
+// The page of a desk with logs only.
 
 import { setText } from "./elements.js";
 import { LogsPage } from "./logs.js";

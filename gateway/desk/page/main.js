@@ -53,7 +53,7 @@ function write() {
   showLink();
 }
 
-/** Whether anything comes, by this page's own clock; where nothing does, no row is shown as current. */
+/** Check for messages by this page's clock; without any, no row is shown as current. */
 function showLink() {
   const isLost = link.silentMs > FRESH_MS;
   const good = !isLost && fleet.linked;

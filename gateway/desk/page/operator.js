@@ -1,5 +1,5 @@
-// Who commands from this browser. In signed mode its key stays here, in IndexedDB, and cannot be taken out: the desk
-// passes on what is signed, and can sign nothing itself.
+// The operator of this browser. In signed mode the key stays here, in IndexedDB, and cannot be exported: the desk
+// passes on signed commands, and cannot sign itself.
 
 import { Bundle, Operator, fingerprint, requestText } from "./proof.js";
 
@@ -27,7 +27,7 @@ const write = (name, value) => store("readwrite", (objects) => objects.put(value
 
 const hex = (bytes) => Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 
-/** The public half of this browser's key, hexadecimal; made where there is none, and kept. */
+/** The public half of this browser's key, hexadecimal; made and stored if there is none. */
 export async function publicKey() {
   let pair = await read("pair");
   if (pair === undefined) {
@@ -50,30 +50,30 @@ export async function requestFor(name) {
   return [JSON.stringify(request), await fingerprint(text)];
 }
 
-/** The authority's answer, if it is for the key of this browser, and the fingerprint of the request that it answers. */
+/** The authority's bundle, if it is for this browser's key, and the fingerprint of its request. */
 export async function answerOf(text) {
   const bundle = await Bundle.read(text);
   if (bundle.key !== (await publicKey())) throw new Error("this bundle is for another key");
   return [bundle, await fingerprint(requestText("operator", [bundle.name], bundle.key, ""))];
 }
 
-/** Has somebody compared the fingerprint of this authority here? */
+/** Was the fingerprint of this authority compared here? */
 export async function isKnown(bundle) {
   return (await read("grant"))?.fingerprint === bundle.fingerprint;
 }
 
-/** Take over the authority's answer. */
+/** Accept the authority's bundle. */
 export const install = ({ statement, authority, fingerprint }) => write("grant", { chain: statement, authority, fingerprint });
 
-/** The operator with its key and grant; null in open mode, where names are as they are said. */
+/** The operator with key and grant; null in open mode. */
 export async function signer() {
   const [pair, grant] = [await read("pair"), await read("grant")];
   if (pair === undefined || grant === undefined) return null;
   return Operator.create(pair.privateKey, grant.chain, grant.authority);
 }
 
-/** What the grant lets its holder do, as it says itself; robots judge by it. */
+/** The rights of the grant by its own text; robots judge by it. */
 export const grantOf = (one) => JSON.parse(one.statement.split("\n", 1)[0]);
 
-/** Go back to open mode. The key stays, so that another bundle for it can be taken over. */
+/** Return to open mode. The key stays, for another bundle. */
 export const forget = () => store("readwrite", (objects) => objects.delete("grant"));

@@ -29,7 +29,7 @@ export class Overview {
     this.update();
   }
 
-  /** Show the rows as they are now: of each robot only what is another than before. */
+  /** Show the current rows; of each robot only the changes. */
   update() {
     const wanted = this.search.value.trim().toLowerCase();
     const rowOf = (name) => this.fleet.rows.get(name);
@@ -48,7 +48,7 @@ export class Overview {
       let shown = this.shown.get(name);
       if (shown === undefined) this.shown.set(name, (shown = this.wall ? tile(name) : this.line(name)));
       if (shown.row !== row) fill(shown, row);
-      // An element that stands where it belongs is not moved: moving takes the focus away.
+      // An element in its place is not moved: moving it loses the focus.
       const next = before === null ? this.body.firstChild : before.nextSibling;
       if (next !== shown.element) this.body.insertBefore(shown.element, next);
       before = shown.element;
@@ -64,7 +64,7 @@ export class Overview {
       .map((one) => `${one.name} ${valueOf(one.state)}, ${robots(one.robots)}, ${one.lost} ${t("lost_samples")}, ${gib(one.disk_free_bytes)} ${t("free")}`).join("; ")}`);
   }
 
-  /** Say that nothing here is current, and why; nothing where all is well. */
+  /** Show why nothing here is current, if so. */
   showContact(text) {
     this.contact.hidden = text === "";
     setText(this.contact, text);
@@ -105,7 +105,7 @@ export class Overview {
     const acknowledge = () => {
       const { isOwn, word } = this.fleet.rows.get(name);
       if (!isOwn) return this.link.send({ is: "acknowledge", robot: name, word, operator: operatorName() });
-      // Only this page knows of it, from before it had lost the desk.
+      // Known only here, from before the page lost the desk.
       this.fleet.rows.delete(name);
       return this.update();
     };

@@ -1,4 +1,4 @@
-// The path of a robot by odometry, which the desk sums up. It drifts.
+// The path of a robot by odometry, which the desk integrates. It drifts.
 
 const POINTS = 4000;
 const OUTLINE_M = [[0.75, 0.3], [0.9, 0], [0.75, -0.3], [-0.15, -0.3], [-0.15, 0.3]]; // from the rear axle; the point is the front
@@ -14,7 +14,7 @@ export class Path {
     this.points = [];
   }
 
-  /** Go on to a pose: metres, and the heading in radians, left positive. */
+  /** Continue to a pose: metres, and the heading in radians, left positive. */
   go(x, y, heading) {
     Object.assign(this, { x, y, heading });
     const [lastX, lastY] = this.points.at(-1) ?? [Infinity, Infinity];

@@ -1,4 +1,4 @@
-// One robot closely: what it does, its blockers, speeds and angles over time, its path, its chassis, its events.
+// One robot in detail: its state, blockers, speeds and angles over time, its path, its chassis, its events.
 
 import { FRESH_MS, SampleClock } from "./contact.js";
 import { h, number, setText } from "./elements.js";
@@ -57,7 +57,7 @@ export class RobotPage {
     this.update();
   }
 
-  /** The elements are in the page: what needs their size is made. */
+  /** The elements are in the page: make what needs their size. */
   begin() {
     const axis = { stroke: () => getComputedStyle(document.body).color, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884" } };
     const series = (label, stroke, more = {}) => ({ label, stroke, width: 2, value: (_, value) => number(value), ...more });
@@ -82,7 +82,7 @@ export class RobotPage {
     this.plots?.forEach((plot) => plot.destroy());
   }
 
-  /** The last minutes, which the desk has kept. */
+  /** The last minutes, as stored by the desk. */
   receiveHistory(history, hello) {
     const { values, age_s: ageS } = history;
     const length = values.speed_mps.length;
@@ -105,7 +105,7 @@ export class RobotPage {
     const message = MessagePack.decode(payload);
     if (subject === "safety/event") return this.receiveEvent(message);
     if (subject !== "state" && subject !== "safety/state") return;
-    // What has waited behind something that hung is not what the robot does now.
+    // A sample that waited behind a hanging process is not current.
     const nowMs = performance.now();
     if (this.clock.delayMs(message.time_ns, nowMs) > FRESH_MS) return;
     if (subject === "state") return this.receiveState(message, nowMs);
@@ -131,7 +131,7 @@ export class RobotPage {
     while (this.events.childElementCount > EVENTS_SHOWN) this.events.lastElementChild.remove();
   }
 
-  /** Why it does not move, as the desk puts it in words. */
+  /** The reasons why it does not move, from the desk. */
   receiveWhy(why) {
     this.why = why;
     this.whyMs = performance.now();
@@ -141,7 +141,7 @@ export class RobotPage {
     const text = JSON.stringify(this.why && [this.why.reasons, this.why.notes]);
     if (this.whyText === text) return;
     this.whyText = text;
-    // That no client drives it is no fault: the band says so.
+    // A missing driver is no fault: the band shows it.
     const blockers = (this.why?.reasons ?? []).filter(([reason]) => !IDLE.includes(reason));
     this.reasons.replaceChildren(...blockers.map(([reason, means, cure]) => {
       const [ours, how] = whyOf(reason, means, cure, this.name);
@@ -164,7 +164,7 @@ export class RobotPage {
     const parts = this.isLost ? [t("no_contact", this.name, ((performance.now() - this.heardMs) / 1000).toFixed(1))] : [];
     const holder = this.safety?.lease_holder;
     if (holder) parts.push(this.driver.driving ? t("in_control_here") : t("in_control", holder));
-    // Of a robot that is offline the row says first for how long, which this page knows better.
+    // The row of an offline robot begins with the time, which this page knows better.
     if (known && row.level > 0) parts.push(this.isLost ? said(row.text.split("; ").slice(1).join("; ")) : textOf(row));
     if (this.safety?.stopped_by?.length) parts.push(t("stopped_by", this.safety.stopped_by.join(", ")));
     if (this.why) parts.push(t("since", new Date(Date.now() - 1000 * this.why.since_s).toLocaleTimeString()));
@@ -194,7 +194,7 @@ export class RobotPage {
     this.gauge.style.width = `${100 * share}%`;
     this.updateFacts(state);
     this.driver.update(safety);
-    // Nothing whose size changes stands above the pad while it may be held.
+    // While the pad may be held, nothing above it changes its size.
     this.element.classList.toggle("driving", this.driver.driving);
     this.path.draw();
     if (this.plots) {
@@ -205,7 +205,7 @@ export class RobotPage {
       for (const [at, plot] of this.plots.entries()) {
         plot.setScale("x", { min: -SHOWN_S, max: 0 });
         const all = this.points.slice(at ? 5 : 1, at ? undefined : 5).flat().filter((value) => value !== null);
-        // No line lies on the edge, where half of it would be cut off.
+        // Keep lines off the edge, where half of them would be cut off.
         plot.setScale("y", { min: 1.1 * Math.min(at ? -5 : -0.2, ...all), max: 1.1 * Math.max(at ? 5 : 0.5, ...all) });
       }
     }

@@ -1,4 +1,4 @@
-// The remote stop, and what is known of it: never more.
+// The remote stop, and its outcome as far as it is known.
 
 import { h } from "./elements.js";
 import { said, t } from "./words.js";
@@ -31,7 +31,7 @@ export class Stops {
 
   show({ robot, standing, refused, unconfirmed, silent, counted }) {
     const rows = [
-      // A robot that reads zero before it has moved stops all right; only nothing has shown it.
+      // A robot that reads zero before it has moved may stop, but nothing shows it.
       ...Object.entries(refused).map(([name, text]) => `${name}: ${t(text.startsWith("not_confirmed") ? "unconfirmed" : "refused")}: ${said(text)}`),
       ...Object.entries(unconfirmed).map(([name, text]) => `${name}: ${t("unconfirmed")}: ${said(text)}`),
       ...this.unheard(robot, standing, refused, unconfirmed, silent).map((name) => `${name}: ${t("silent_robot")}`),
@@ -41,11 +41,11 @@ export class Stops {
     const bad = rows.length > 0;
     if (bad) rows.push(t("use_button"));
     rows.push(...standing.map((name) => `${name}: ${t("standing")}`));
-    // With its time: it stays until it is closed, and the robots may have been reset since.
+    // With its time: the card stays until it is closed, and robots may have been reset since.
     this.card(robot, bad ? 2 : 0, h("b", {}, `${t("stop_outcome")}: ${robot || t("everyone")}, ${new Date().toLocaleTimeString()}`), h("ul", {}, rows.map((row) => h("li", {}, row))));
   }
 
-  /** Robots that should have replied: those that are connected, and those that the page shows. */
+  /** Robots that should have replied: connected ones, and those on the page. */
   unheard(robot, standing, refused, unconfirmed, silent) {
     const known = robot ? [robot] : [...this.fleet.rows.keys()];
     const heard = new Set([...standing, ...Object.keys(refused), ...Object.keys(unconfirmed)]);
