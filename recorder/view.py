@@ -52,7 +52,6 @@ class _Subscriptions(ServerListener):
         self.channels: deque[int] = deque(maxlen=SUBSCRIPTIONS_WAITING)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002 - the SDK's form
-        """Store the channel for the loop."""
         self.channels.append(channel.id)
 
 
@@ -146,9 +145,7 @@ def _read(chain: Path, key: Path) -> tuple[bytes, bytes]:
     return found, private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-SAMPLE_MAX_BYTES: Final = (
-    1 << 20
-)  # larger samples are left out; robots' routers block them too (docs/authority.md)
+SAMPLE_MAX_BYTES: Final = 1 << 20  # larger samples are left out; robots' routers block them, too
 SILENT_NS: Final = 1_000_000_000  # a robot without samples for this long is silent: states come at 20 Hz
 
 _SELDOM: Final = (SafetyEvent, Decision)
@@ -207,8 +204,7 @@ class LiveChannels:
 
     def show_newest(self, channel_id: int) -> None:
         """Send the newest record of a rare channel to a new subscriber."""
-        newest = self._newest.get(channel_id)
-        if newest is not None:
+        if newest := self._newest.get(channel_id):
             self._viewers.write(channel_id, *newest)
 
     def _act_on(self, key: str, message: Message, route: Route, log_ns: int) -> None:

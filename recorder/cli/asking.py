@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 
 JSON_HELP: Final = "print JSON"
 
-_EXTRA: Final = {**dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"), "obstore": "upload"}
-"""Libraries, and the extras that bring them."""
+_EXTRA: Final = {  # by library
+    **dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"),
+    "obstore": "upload",
+    "foxglove": "live",
+}
 
 NAMES_SHOWN: Final = 12  # limit of robots that are named in a line
 BUDGET_S: Final = 30.0  # time after which reading is given up

@@ -1,4 +1,4 @@
-"""--processes and --ray: where the tasks of a question are done. Only some questions have them."""
+"""The flags --processes and --ray: where the tasks of a question run. Only some questions have them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from typing import Final
 from recorder.cli.asking import Asked
 from recorder.review.tasks import TaskRunner
 
-LITTLE_BYTES: Final = 4_000_000  # logs of fewer bytes in all are read before another process has started
+LITTLE_BYTES: Final = 4_000_000  # logs of fewer bytes in total are read faster than another process starts
 
 
 def add_task_runner(parser: argparse.ArgumentParser) -> None:
-    """--processes and --ray."""
     group = parser.add_mutually_exclusive_group()
     group.add_argument(
         "--processes",
@@ -22,11 +21,11 @@ def add_task_runner(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="logs at a time, each in a process of its own (default: one a processor, or one for little)",
     )
-    group.add_argument("--ray", metavar="ADDRESS", help="have a Ray cluster do it: ray://HOST:PORT")
+    group.add_argument("--ray", metavar="ADDRESS", help="run on a Ray cluster: ray://HOST:PORT")
 
 
 def task_runner(arguments: argparse.Namespace, asked: Asked) -> TaskRunner:
-    """The place where --processes and --ray want the tasks done."""
+    """The runner that --processes and --ray choose."""
     most = len(os.sched_getaffinity(0)) if asked.bytes > LITTLE_BYTES else 1
     return TaskRunner(arguments.processes or most, arguments.ray or "")
 

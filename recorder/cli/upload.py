@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+
 from recorder.cli.show import show
 from recorder.disk.files import UploadNote
 from recorder.objects.address import shown_url
@@ -36,7 +37,7 @@ POLL_S: Final = 0.1  # period of checks for a stop
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     # It runs as long as its machine, and logs the uploaded files.
     parser.set_defaults(log_level="info")
-    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="of the logs (.)")
+    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="directory of the logs (.)")
     parser.add_argument(
         "--store", dest="upload.store", metavar="URL", help="s3://BUCKET/PLACE, gs://, az:// or file:///DIRECTORY"
     )
@@ -44,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate",
         dest="upload.rate_bytes_s",
         metavar="N",
-        help="bytes/s that it takes of the link in the mean, in parts of 5 MiB (250000); 0: no limit",
+        help="mean rate on the link in bytes/s, in parts of 5 MiB (250000); 0: no limit",
     )
-    parser.add_argument("--once", action="store_true", help="end when all that is finished now has been tried")
+    parser.add_argument("--once", action="store_true", help="try each finished log once, then end")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -70,10 +71,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     with UploadNote(directory) as note:
         totals, is_there = asyncio.run(_upload(upload, directory, note, stopped, is_once=arguments.once))
     show(totals, _lines(totals), as_json=arguments.json)
-    if not totals.faults:
-        return int(ExitCode.OK)
-    if totals.uploaded:
-        return int(ExitCode.PARTIAL)
+    if totals.uploaded or not totals.faults:
+        return int(ExitCode.PARTIAL if totals.faults else ExitCode.OK)
     return int(ExitCode.FAILURE if is_there else ExitCode.UNREACHABLE)
 
 
@@ -116,8 +115,6 @@ async def _work(uploader: Uploader, stopped: Callable[[], bool], *, is_once: boo
 
 
 def _lines(totals: UploadTotals) -> list[str]:
-    logs = (
-        f"{totals.uploaded} logs uploaded, {totals.bytes} bytes, {totals.rows} of them with a row in the catalog"
-    )
-    lines = [f"{logs}; {len(totals.waiting)} wait"]
-    return lines + [f"{name}: {fault}" for name, fault in totals.faults.items()]
+    logs = f"{totals.uploaded} logs uploaded, {totals.bytes} bytes, {totals.rows} with a row in the catalog"
+    faults = [f"{name}: {fault}" for name, fault in totals.faults.items()]
+    return [f"{logs}; {len(totals.waiting)} waiting", *faults]

@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.cli.asking import needing_extra
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
@@ -22,7 +23,6 @@ from schemas.command_line import (
     add_certificate_arguments,
     address,
     certificate_files,
-    missing_extra,
     plain,
 )
 from schemas.settings import Settings
@@ -71,21 +71,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    try:
-        from recorder.view import LiveChannels, ViewLoop, ViewServer  # noqa: PLC0415 - not before the package is known
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "foxglove":
-            raise
-        raise missing_extra("foxglove-sdk", "live") from None
+    with needing_extra():
+        from recorder.view import LiveChannels, ViewLoop, ViewServer  # noqa: PLC0415 - needs the extra 'live'
     host, port = arguments.listen
     certificate = certificate_files(arguments.certificate, arguments.certificate_key, host, "viewers")
     shown = ", ".join(arguments.robots) or "all robots"
     ends = ending_after(stopped, arguments.seconds, time.monotonic)
+    wanted = expressions(settings.robot.root, arguments.robots)
     with (
         ViewServer(f"cruiser: {shown}", host, port, certificate) as server,
-        closing(
-            ZenohSource(settings.zenoh, expressions(settings.robot.root, arguments.robots), QUEUE_SAMPLES)
-        ) as source,
+        closing(ZenohSource(settings.zenoh, wanted, QUEUE_SAMPLES)) as source,
     ):
         channels = LiveChannels(server, version("cruiser-gateway"))
         loop = ViewLoop(source, server, channels, partial(_write_layouts, arguments.layouts))

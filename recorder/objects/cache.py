@@ -143,7 +143,6 @@ def _asked_s(home: Path) -> float:
 
 
 def _bytes_in(home: Path) -> int:
-    total = 0
     with suppress(OSError):
-        total = sum(one.stat().st_size for one in home.iterdir())
-    return total
+        return sum(one.stat().st_size for one in home.iterdir())
+    return 0

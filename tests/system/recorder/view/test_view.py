@@ -183,7 +183,7 @@ def test_without_its_package_it_says_what_to_install(monkeypatch: pytest.MonkeyP
     for name in [name for name in sys.modules if name.startswith(("foxglove", "recorder.view"))]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    with pytest.raises(CommandError, match=r"foxglove-sdk: pip install -e '\.\[live\]'"):
+    with pytest.raises(CommandError, match=r"foxglove: pip install -e '\.\[live\]'"):
         run_command(view)
 
 
