@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-
 from recorder.cli.show import show
 from recorder.disk.files import UploadNote
 from recorder.objects.address import shown_url
