@@ -3,7 +3,6 @@
 The chassis is no part of the robot's computer: it obeys its last command while that is off.
 """
 
-import re
 import socket
 import struct
 import threading
@@ -14,7 +13,8 @@ from pathlib import Path
 from select import select
 from typing import Final, NamedTuple, Self
 
-from gateway.chassis.cruiser.early_stop import DRIVE, DRIVE_COMMAND, EXTENDED, EXTRAS, MOTION
+from gateway.can.can_bus import SocketcandBus
+from gateway.chassis.cruiser.early_stop import DRIVE, DRIVE_COMMAND, EXTRAS, MOTION
 from gateway.chassis.cruiser.frames import load
 from gateway.chassis.frame import Frame
 from gateway.chassis.layout import Decoded, FrameDecoder
@@ -22,7 +22,6 @@ from schemas.messages import Variant
 from tests.robot.bridge import CAN_HEADER, CAN_TYPE, LIFE, LIFE_TYPE
 from tests.support.waiting import wait_until
 
-LINE: Final = re.compile(rb"< frame ([0-9A-Fa-f]+) ([0-9.]+) ([0-9A-Fa-f]*) >")
 FRAME: Final = struct.Struct("=IB3x8s")
 ETHERNET_BYTES: Final = len(CAN_HEADER)
 MOVES_MPS: Final = 0.01
@@ -72,23 +71,20 @@ class Outside:
         self._server.bind(str(self.card))
         self._server.listen()
         host, _, port = chassis.rpartition(":")
-        self._chassis = socket.create_connection((host, int(port)))
-        self._chassis.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._chassis = SocketcandBus(host, int(port), "can0")
+        self._chassis.stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._guest: socket.socket | None = None
-        self._buffer = b""
         self._is_over = False
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self) -> Self:
-        for word in (b"< open can0 >", b"< rawmode >"):
-            self._chassis.sendall(word)
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._is_over = True
         self._thread.join()
-        for each in (self._server, self._chassis, self._guest):
+        for each in (self._server, self._chassis.stream, self._guest):
             if each is not None:
                 each.close()
 
@@ -134,7 +130,7 @@ class Outside:
 
     def _run(self) -> None:
         while not self._is_over:
-            sockets = [self._server, self._chassis, *([self._guest] if self._guest else [])]
+            sockets = [self._server, self._chassis.stream, *([self._guest] if self._guest else [])]
             ready, _, _ = select(sockets, [], [], 0.1)
             if self._server in ready:
                 # A computer that came up again: the one before is gone.
@@ -144,7 +140,7 @@ class Outside:
                 self._guest.settimeout(0)
             elif self._guest is not None and self._guest in ready:
                 self._from_guest(self._guest)
-            if self._chassis in ready:
+            if self._chassis.stream in ready:
                 self._from_chassis()
 
     def _from_guest(self, guest: socket.socket) -> None:
@@ -162,27 +158,16 @@ class Outside:
             self.lives.append(Life(now_s, wall_ns, up_ns / 1e9, bus_is_up))
         elif kind == CAN_TYPE:
             can_id, length, data = FRAME.unpack(content[: FRAME.size])
-            self._chassis.sendall(
-                b"< send %08X %d %s >" % (can_id & ~EXTENDED, length, data[:length].hex(" ").encode())
-            )
+            self._chassis.send(Frame(can_id, data[:length]))
             if can_id in SENDERS:
                 self.told.append(Told(now_s, can_id, data))
 
     def _from_chassis(self) -> None:
-        self._buffer += self._chassis.recv(65536)
-        end = 0
-        for line in LINE.finditer(self._buffer):
-            end = line.end()
-            can_id, data = (
-                int(line[1], 16) | (EXTENDED if len(line[1]) == 8 else 0),
-                bytes.fromhex(line[3].decode()),
-            )
+        while (frame := self._chassis.recv(0)) is not None:
             if self._guest is not None:
                 with suppress(OSError):
-                    self._guest.send(CAN_HEADER + FRAME.pack(can_id, len(data), data))
-            if can_id == DRIVE:
-                decoded = self._decoder.decode(Frame(can_id, data))
-                if isinstance(decoded, Decoded):
-                    speed = next(float(value) for name, value in decoded.signals.items() if "peed" in name)
-                    self.speeds.append(Speed(time.monotonic(), speed))
-        self._buffer = self._buffer[end:]
+                    self._guest.send(CAN_HEADER + FRAME.pack(frame.can_id, len(frame.data), frame.data))
+            decoded = self._decoder.decode(frame) if frame.can_id == DRIVE else None
+            if isinstance(decoded, Decoded):
+                speed = next(float(value) for name, value in decoded.signals.items() if "peed" in name)
+                self.speeds.append(Speed(time.monotonic(), speed))
