@@ -348,15 +348,12 @@ def orders(data: bytes) -> None:
     assert len(asked.replies) == 1
 
 
-SAMPLED: Final = SUBJECTS
-
-
 def samples(data: bytes) -> None:
     """A recorder records whatever a sample contains."""
     if not data:
         return
     recorder, writer = Recorder(RECORDER_PLAN), MemoryWriter()
-    subject = SAMPLED[data[0] % len(SAMPLED)]
+    subject = SUBJECTS[data[0] % len(SUBJECTS)]
     for sequence in range(2):
         sample = FakeSample(key_of(subject.type), subject.encoding, data[1:], source=("publisher", sequence))
         writer.apply(recorder.receive([sample], sequence * NS))
@@ -444,7 +441,7 @@ SEEDS: Final[dict[Callable[[bytes], None], Sequence[bytes]]] = {
             {"is": "acknowledge", "word": "latched"},
         )
     ],
-    samples: [_place(one, SAMPLED) + codec.encode(one) for one in MESSAGES],
+    samples: [_place(one, SUBJECTS) + codec.encode(one) for one in MESSAGES],
 }
 TARGETS: Final = [Target(run.__name__, run, seeds) for run, seeds in SEEDS.items()]
 

@@ -199,10 +199,8 @@ def test_so_many_grants_are_kept_and_the_one_unused_for_longest_goes() -> None:
 # Verbs.
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "drive"])
 def test_a_signed_verb_is_its_signers(verb: str) -> None:
-    if verb == "drive":
-        return
     door, ann = known(role=GrantRole.SUPERVISOR, override=True, speed_limit_mps=0.7, serial=9)
     assert door.ask(ann, verb, b"any") == Credentials(Reason.NONE, "", 9, Role.SUPERVISOR, True, 0.7)  # noqa: FBT003
 
