@@ -11,6 +11,8 @@ from typing import Final
 from schemas.messages import Variant
 
 WHEELBASE_M: Final = 0.660
+TRACK_M: Final = 0.606  # between the middles of the wheels of an axle
+WHEEL_RADIUS_M: Final = 0.210
 
 SPEED_TOP_MPS: Final = 2.222  # the chassis drives no faster, either way: 8 km/h
 STEERING_TOP_DEG: Final = 24.0  # the chassis steers no further, to either side

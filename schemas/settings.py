@@ -530,6 +530,21 @@ class DeskSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     viewers: list[str] = []
 
 
+ROS_DISTRIBUTIONS: Final = ("humble", "jazzy", "kilted", "lyrical")
+
+
+class RosSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The ROS 2 graph: see docs/ros2.md.
+
+    Attributes:
+        connect: Zenoh endpoint of its router, rmw_zenohd
+        distribution: ROS 2 distribution; humble has no type hashes
+    """
+
+    connect: str = "tcp/127.0.0.1:7447"
+    distribution: Literal["humble", "jazzy", "kilted", "lyrical"] = "jazzy"
+
+
 class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The virtual chassis.
 
@@ -554,5 +569,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recorder: RecorderSettings = RecorderSettings()
     upload: UploadSettings = UploadSettings()
     desk: DeskSettings = DeskSettings()
+    ros: RosSettings = RosSettings()
     sim: SimSettings = SimSettings()
     authority: AuthoritySettings = AuthoritySettings()

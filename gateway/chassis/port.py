@@ -273,6 +273,7 @@ class Chassis(msgspec.Struct, frozen=True):
         scaled_frames: the feedback frames of speeds, whose layout depends on the variant.
         speed_bit_mps: the smallest speed that a command can carry, by variant.
         scale_ratio: of the coarse variant's speed scale to the fine one's.
+        track_m: between the middles of an axle's wheels.
         top_speed_mps, top_angle_deg: limits of the chassis, in either direction.
     """
 
@@ -296,6 +297,8 @@ class Chassis(msgspec.Struct, frozen=True):
     speed_bit_mps: Mapping[Variant, float]
     scale_ratio: float
     wheelbase_m: float
+    track_m: float
+    wheel_radius_m: float
     top_speed_mps: float
     top_angle_deg: float
 

@@ -48,6 +48,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "list": ("gateway.cli.list_robots", "list all robots, lost ones too: state, speed, driver, health"),
         "watch": ("gateway.cli.watch", "show a robot live; without a name all robots"),
         "desk": ("gateway.cli.desk", "see, drive and stop a fleet in a browser"),
+        "ros": ("gateway.cli.ros", "put robots on a ROS 2 graph; with --drive take its commands"),
         "view": ("recorder.cli.view", "show robots live in Foxglove and Lichtblick"),
         "drive": ("gateway.cli.drive", "drive a robot with the keys of a terminal, or from a script"),
         "stop": ("gateway.cli.stop", "stop a robot, several, or all: the remote stop"),

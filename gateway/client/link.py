@@ -200,8 +200,11 @@ class DriveStream:
         state = self._state
         if state is None or not self.is_wanted or now_ns - self._seen_ns > STALE_NS:
             return None
+        return self._next(self._in_force(state, now_ns), state)
+
+    def _next(self, set_point: SetPoint, state: SafetyState) -> Drive:
         self._sequence += 1
-        drive = self._in_force(state, now_ns).command(self.lease, self._sequence, state.challenge, state.tick)
+        drive = set_point.command(self.lease, self._sequence, state.challenge, state.tick)
         angle_deg = steering_angle_deg(drive, CHASSIS.wheelbase_m)
         if self.engaged and isinstance(angle_deg, float):
             self._sent[drive.seq] = drive.speed_mps, angle_deg
@@ -242,6 +245,23 @@ class DriveStream:
         self.ending = ending
         self._is_wanted = self._is_asked = self.engaged = False
         self._set_point = None
+
+
+class RelayStream(DriveStream):
+    """The drive commands that somebody else gives: each is sent once, when it comes, and nothing in between.
+
+    So the robot's deadman watches the one who gives them, and not this program.
+    """
+
+    def command(self, now_ns: int) -> Drive | None:  # noqa: ARG002 - nothing is sent by the clock
+        return None
+
+    def relay(self, set_point: SetPoint, now_ns: int) -> Drive | None:
+        """The drive command for a set point that came just now; None if the robot is not engaged for us."""
+        state = self._state
+        if state is None or not self.is_wanted or now_ns - self._seen_ns > STALE_NS:
+            return None
+        return self._next(set_point, state)
 
 
 def _finite(name: str, value: object) -> float:
@@ -428,6 +448,15 @@ class RobotLink:
     def end_stream(self) -> None:
         with self.heard:
             self._stream = None
+
+    def relay(self, stream: RelayStream, set_point: SetPoint) -> bool:
+        """Send a drive command at once, with the newest challenge. Returns False if the robot is not engaged."""
+        with self.heard:
+            self._listen()
+            drive = stream.relay(set_point, time.monotonic_ns())
+            if drive is not None:
+                self.commands.put("drive", encode_request(drive))
+            return drive is not None
 
     def close(self) -> None:
         """Close the link, and end a stream."""

@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from gateway.client import remote_stop
-from gateway.client.link import HOLD_S, DriveStream, RobotLink, SetPoint, Sighting
+from gateway.client.link import HOLD_S, DriveStream, RelayStream, RobotLink, SetPoint, Sighting
 from gateway.client.proof import LinkProof, operator_proof
 from gateway.client.refusal import LeaseLost, Refused, RobotError, Stopped, Unreachable
 from gateway.client.remote_stop import REST_S, StopReport
@@ -198,6 +198,10 @@ class Robot:
         """Return the lease, if it is free: acquired when a ``with`` begins, released when it ends."""
         return Lease(self._link, self.operator, Acquire(role=role))
 
+    def relay_lease(self, role: Role = Role.OPERATOR) -> RelayLease:
+        """The lease, for a program that passes on the commands of another."""
+        return RelayLease(self._link, self.operator, Acquire(role=role))
+
     def take(self, role: Role = Role.OPERATOR, *, override: bool = False) -> Lease:
         """Return the lease, taken from a holder of no higher role. ``override`` takes it from a moving robot."""
         return Lease(self._link, self.operator, Take(role=role, override=override))
@@ -231,6 +235,8 @@ class Lease:
     its hold time, else zero speed. Otherwise it renews the lease.
     """
 
+    _stream_type: type[DriveStream] = DriveStream
+
     def __init__(self, link: RobotLink, operator: str, request: Acquire | Take) -> None:
         self._link = link
         self._operator = operator
@@ -249,7 +255,7 @@ class Lease:
         reply = self._ask(self._request)
         if not isinstance(reply, LeaseReply):
             raise AssertionError("the command table gives these verbs a LeaseReply")  # noqa: TRY004 - our fault
-        self._stream = DriveStream(reply.lease, self._operator)
+        self._stream = self._stream_type(reply.lease, self._operator)
         self._link.begin_stream(self._stream, reply.expires_s)
         return self
 
@@ -417,6 +423,17 @@ class Lease:
             robot = self._link.robot
             raise LeaseLost(f"the lease of {robot} is lost", ending.reason, ending.detail, robot=robot)
         return self._stream
+
+
+class RelayLease(Lease):
+    """A lease under which nothing is sent by the clock: only what ``relay`` is given, once."""
+
+    _stream_type = RelayStream
+
+    def relay(self, set_point: SetPoint) -> bool:
+        """Send a drive command now. Returns False if the robot is not engaged, or no longer ours."""
+        stream = self._stream
+        return isinstance(stream, RelayStream) and self._link.relay(stream, set_point)
 
 
 def _reset(link: RobotLink, lease: int, of: str, *, wait: bool) -> str:

@@ -20,14 +20,16 @@ from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review export -o dataset logs
   cruiser review export --format csv --topic 'chassis/*' -o tables logs
+  cruiser review export --format ros2 -o bag log.mcap
   cruiser review export --format candump -o frames logs"""
 DESCRIPTION: Final = (
     "Writes logs as a dataset of Parquet files (by topic, robot and date, with a manifest), as CSV, one file a "
-    "topic, or their raw frames as candump log, ASC or BLF, one file a robot. No file is overwritten. Exit code 3 "
-    "if not all of a log could be read."
+    "topic, as a rosbag2 directory for ROS 2, or their raw frames as candump log, ASC or BLF, one file a robot. "
+    "No file is overwritten. Exit code 3 if not all of a log could be read."
 )
 
 PARQUET: Final = "parquet"
+ROS2: Final = "ros2"
 FRAMES: Final = ("candump", "asc", "blf")
 _SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")  # a network address as a path: ``s3:/bucket``
 
@@ -35,7 +37,8 @@ _SCHEME: Final = re.compile("[a-z][a-z0-9+.-]+:/")  # a network address as a pat
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_logs(parser, json_help="print what was written as JSON, an object a line")
     parser.add_argument("-o", "--out", type=Path, required=True, metavar="DIR", help="output directory")
-    parser.add_argument("--format", choices=(PARQUET, "csv", *FRAMES), default=PARQUET, help=f"default {PARQUET}")
+    forms = (PARQUET, "csv", ROS2, *FRAMES)
+    parser.add_argument("--format", choices=forms, default=PARQUET, help=f"default {PARQUET}")
     parser.add_argument(
         "--topic",
         action="append",
@@ -71,6 +74,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
 def describe(one: Any) -> str:  # noqa: ANN401 - of modules that are imported late
     """A line for people about a file or a dataset."""
     about = msgspec.to_builtins(one)
+    if "messages" in about:
+        return f"{about['directory']}: {about['messages']} messages on {len(about['topics'])} topics"
     if "frames" in about:
         late = f", {about['late']} of them out of order" if about["late"] else ""
         return f"{about['path']}: {about['frames']} frames{late}"
@@ -110,8 +115,18 @@ def _frames(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> 
         raise CommandError(f"cannot write {plain(str(out))}: {error.strerror or error}") from error
 
 
+def _bag(arguments: argparse.Namespace, asked: Asked, progress: Progress) -> Sequence[Any]:
+    from recorder.reading.rows import wants_of  # noqa: PLC0415 - as below
+    from recorder.review.rosbag import export_bag  # noqa: PLC0415 - nobody else needs ROS
+
+    selection = Selection(wants_of(arguments.topic), asked.from_ns, asked.to_ns)
+    bag = export_bag(asked.logs, arguments.out, selection, asked.faults, progress)
+    return [] if bag is None else [bag]
+
+
 _EXPORTS: Final[dict[str, Callable[[argparse.Namespace, Asked, Progress], Sequence[Any]]]] = {
     PARQUET: _dataset,
     "csv": _csv,
+    ROS2: _bag,
     **dict.fromkeys(FRAMES, _frames),
 }

@@ -9,7 +9,7 @@
 - ``rerun``, ``what_if`` a recorded run repeated, with its own settings or with others
 - ``report``             a drive on one page
 - ``export``, ``query``  Parquet, CSV and SQL (``columns``)
-- ``raw_frames``         raw frames for CAN tools
+- ``raw_frames``, ``rosbag``  for CAN tools, and for ROS 2
 - ``messages``           typed messages or tables, for programs
 - ``tasks``              work in several processes or machines
 

@@ -27,6 +27,8 @@ from schemas.cruiser import (
     SPEED_BIT_MPS,
     SPEED_TOP_MPS,
     STEERING_TOP_DEG,
+    TRACK_M,
+    WHEEL_RADIUS_M,
     WHEELBASE_M,
     dbc_text,
 )
@@ -55,6 +57,8 @@ CRUISER: Final = Chassis(
     speed_bit_mps=SPEED_BIT_MPS,
     scale_ratio=SCALE_RATIO,
     wheelbase_m=WHEELBASE_M,
+    track_m=TRACK_M,
+    wheel_radius_m=WHEEL_RADIUS_M,
     top_speed_mps=SPEED_TOP_MPS,
     top_angle_deg=STEERING_TOP_DEG,
 )

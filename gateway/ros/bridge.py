@@ -1,0 +1,308 @@
+"""Joins robots to a ROS graph: telemetry out, and with ``drive`` commands and services in.
+
+One thread passes on what arrives. Requests that wait for a robot run beside it, one at a time for each robot, and
+the remote stop beside those.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from typing import Final
+
+import msgspec
+
+from gateway.choice.chassis import CHASSIS
+from gateway.client.fleet import read_sample
+from gateway.client.remote_stop import stop_from_here
+from gateway.client.robot import CONNECT_TIMEOUT_S, RelayLease, Robot
+from gateway.ros import commands
+from gateway.ros.commands import CommandReader, RosCommand
+from gateway.telemetry.samples import Received
+from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
+from schemas.command_line import CommandError
+from schemas.decisions import SafetyState
+from schemas.ros import messages, types, wire
+from schemas.ros.messages import OK, STALE, WARN, RosFace, stamp, status
+from schemas.settings import Settings
+
+log = logging.getLogger(__name__)
+
+NODE: Final = "cruiser_gateway"
+LOOP_S: Final = 0.01
+TICK_S: Final = 0.2
+SILENT_S: Final = 3.0  # a robot whose state is older is stale in the diagnostics
+ROBOTS_MAX: Final = 256
+SERVICES: Final = ("engage", "disengage", "park", "unpark", "stop", "reset")
+QUIET: Final = frozenset({"ackermann_output"})  # in bags alone: the graph has the commands themselves
+
+
+class RosChoice(msgspec.Struct, frozen=True):
+    """What a bridge does.
+
+    Attributes:
+        namespace: of a single robot; None for each robot's own name.
+        tf: publish the transform from odom to base_link.
+        drive: take commands and serve requests.
+        speed_limit_mps: a lower limit than the robot's own while it is engaged from here.
+    """
+
+    robots: tuple[str, ...]
+    namespace: str | None = None
+    tf: bool = True
+    drive: bool = False
+    operator: str = ""
+    speed_limit_mps: float | None = None
+
+
+class RobotBridge:
+    """A robot on the graph."""
+
+    def __init__(self, name: str, namespace: str, ros: RosSession, choice: RosChoice, settings: Settings) -> None:
+        self.name = name
+        self._ros = ros
+        self._choice = choice
+        self._settings = settings
+        self._face = RosFace(name, CHASSIS.wheel_radius_m)
+        self._node = ros.node(namespace, NODE)
+        self._topics = {
+            topic: ros.publisher(self._node, topic, type_name, latched=topic == "remote_stop")
+            for topic, type_name in messages.TOPICS.items()
+            if topic not in QUIET and (choice.tf or topic != "tf")
+        }
+        self._state: SafetyState | None = None
+        self._heard_s = self._told_s = time.monotonic()
+        self._reader = CommandReader()
+        self._robot: Robot | None = None
+        self._lease: RelayLease | None = None
+        self._requests = ThreadPoolExecutor(1, f"ros-{name}")
+        self._stops = ThreadPoolExecutor(1, f"ros-stop-{name}")
+        if choice.drive:
+            for topic, type_names in commands.TOPICS.items():
+                ros.subscribe(self._node, topic, type_names, self._command)
+            for service in SERVICES:
+                ros.serve(self._node, service, types.TRIGGER, partial(self._serve, service))
+            self._requests.submit(self._connect_early)
+
+    def hear(self, message: object) -> None:
+        """Tell the graph what the robot says."""
+        if isinstance(message, SafetyState):
+            self._state, self._heard_s = message, time.monotonic()
+        for said in self._face.convert(message):
+            if said.topic == "diagnostics":
+                said.fields["status"].append(self._commands_status())
+                self._told_s = time.monotonic()
+            if said.topic in self._topics:
+                self._topics[said.topic].publish(said.fields)
+
+    def tick(self, *, is_connected: bool) -> None:
+        """Say that the robot is silent, and let go of it where the graph is lost."""
+        now_s = time.monotonic()
+        silent_s = now_s - self._heard_s
+        if silent_s > SILENT_S and now_s - self._told_s >= 1.0:
+            self._told_s = now_s
+            silent = status(STALE, f"{self.name}: safety", f"no state for {silent_s:.0f} s", self.name, {})
+            fields = {"header": {"stamp": stamp(time.time_ns())}, "status": [silent, self._commands_status()]}
+            self._topics["diagnostics"].publish(fields)
+        if not is_connected and self._lease is not None:
+            self._requests.submit(self._let_go, "the ROS 2 router is lost")
+
+    def close(self) -> None:
+        """Stop the robot if it is engaged from here, and leave."""
+        if self._lease is not None:
+            self._requests.submit(self._let_go, "cruiser ros ends")
+        self._requests.shutdown()
+        self._stops.shutdown()
+        if self._robot is not None:
+            self._robot.close()
+
+    def _command(self, received: Received, arrived_ns: int) -> None:
+        """A drive command of the graph: passed on now, or dropped."""
+        angle_deg = self._state.output_angle_deg if self._state is not None else 0.0
+        command = RosCommand(received.key, received.payload, received.attachment, arrived_ns)
+        before = self._reader.note
+        set_point = self._reader.read(command, time.monotonic_ns(), time.time_ns(), angle_deg)
+        if self._reader.note and self._reader.note != before:
+            log.warning("%s: a drive command of the graph: %s", self.name, self._reader.note)
+        lease = self._lease
+        if set_point is None or lease is None:
+            return
+        if self._reader.is_foreign:
+            publisher = self._reader.publisher
+            self._reader.end()
+            self._requests.submit(self._let_go, f"a second publisher sends drive commands ({publisher})")
+        else:
+            lease.relay(set_point)
+
+    def _serve(self, service: str, request: RosRequest) -> None:
+        (self._stops if service == "stop" else self._requests).submit(self._answer, service, request)
+
+    def _answer(self, service: str, request: RosRequest) -> None:
+        try:
+            text, success = getattr(self, f"_{service}")() or "ok", True
+        except (CommandError, ValueError) as error:
+            text, success = str(error), False
+        log.info("%s: %s: %s", self.name, service, text)
+        request.answer(types.TRIGGER_RESPONSE, {"success": success, "message": text})
+
+    # The services. Each returns a text, or raises what kept it from being done.
+
+    def _engage(self) -> str:
+        if self._lease is not None and self._lease.is_engaged:
+            raise ValueError(f"{self.name} is engaged from here already")
+        if why := self._reader.why_not_engage(self._publishers(), time.monotonic_ns()):
+            raise ValueError(why)
+        self._give_back()
+        lease = self._connected().relay_lease()
+        lease.__enter__()
+        self._lease = lease
+        self._reader.begin()
+        try:
+            lease.engage(self._choice.speed_limit_mps)
+        except CommandError:
+            self._give_back()
+            raise
+        return f"{self.name} is engaged; without commands it stops"
+
+    def _disengage(self) -> str:
+        try:
+            self._held().disengage()
+        finally:
+            self._give_back()
+        return f"{self.name} stands by"
+
+    def _park(self) -> str:
+        self._held().park()
+        return ""
+
+    def _unpark(self) -> str:
+        self._held().unpark()
+        return ""
+
+    def _stop(self) -> str:
+        robot = self._robot
+        if robot is not None:
+            robot.stop(wait=False)
+            return f"{self.name} is seen to stand"
+        report = stop_from_here(self._settings, self.name, self._choice.operator, CONNECT_TIMEOUT_S)
+        if self.name in report.stopped:
+            return f"{self.name} is seen to stand"
+        why = [*report.refused.values(), *report.unconfirmed.values()] or ["it did not answer"]
+        raise ValueError(f"{self.name} is not known to stand: {'; '.join(why)}")
+
+    def _reset(self) -> str:
+        if self._reader.moves(time.monotonic_ns()):
+            raise ValueError("drive commands that are not zero arrive: end them, then reset")
+        if self._lease is not None:
+            return self._lease.reset()
+        with self._connected().lease() as lease:
+            return lease.reset()
+
+    def _let_go(self, why: str) -> None:
+        """Stop the robot, and give the lease back."""
+        log.warning("%s: %s: it is disengaged", self.name, why)
+        with suppress(CommandError, ValueError):
+            self._held().disengage(wait=False)
+        self._give_back()
+
+    def _give_back(self) -> None:
+        lease, self._lease = self._lease, None
+        self._reader.end()
+        if lease is not None:
+            lease.__exit__(None, None, None)
+
+    def _held(self) -> RelayLease:
+        if self._lease is None:
+            raise ValueError(f"{self.name} is not engaged from here: call engage first")
+        return self._lease
+
+    def _connected(self) -> Robot:
+        if self._robot is None:
+            self._robot = Robot.connect(self.name, self._choice.operator, self._settings)
+        return self._robot
+
+    def _connect_early(self) -> None:
+        """So that the first stop need not wait for a session."""
+        with suppress(CommandError):
+            self._connected()
+
+    def _publishers(self) -> list[str]:
+        topics = (f"{self._node.namespace}/{topic}".strip("/") for topic in commands.TOPICS)
+        return [node for topic in topics for node in self._ros.publishers(topic)]
+
+    def _commands_status(self) -> dict[str, object]:
+        """What became of the graph's commands."""
+        if not self._choice.drive:
+            return status(
+                OK, f"{self.name}: ROS commands", "read only: 'cruiser ros --drive' takes commands", self.name, {}
+            )
+        note = self._reader.note
+        values = {"publishers": ", ".join(self._publishers()), "engaged_from_here": str(self._lease is not None)}
+        return status(WARN if note else OK, f"{self.name}: ROS commands", note or "ok", self.name, values)
+
+
+class Bridge:
+    """All robots on one graph."""
+
+    def __init__(self, ros: RosSession, arrivals: Arrivals, choice: RosChoice, settings: Settings) -> None:
+        self._ros = ros
+        self._arrivals = arrivals
+        self._choice = choice
+        self._settings = settings
+        self._robots: dict[str, RobotBridge] = {}
+        self._namespaces: dict[str, str] = {}
+        self._was_connected = True
+        for name in choice.robots:
+            if "*" not in name:
+                self._add(name)
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Pass on what arrives until the end."""
+        with RobotFeed.open(self._settings, self._choice.robots, self._arrivals, self._hear):
+            due_s = 0.0
+            while not stopped():
+                self._arrivals.handle(LOOP_S)
+                if (now_s := time.monotonic()) >= due_s:
+                    due_s = now_s + TICK_S
+                    self._tick()
+
+    def close(self) -> None:
+        for robot in self._robots.values():
+            robot.close()
+
+    def _hear(self, received: Received) -> None:
+        sample = read_sample(received)
+        if sample is None:
+            return
+        robot = self._robots.get(sample.parts.robot) or self._add(sample.parts.robot)
+        if robot is not None:
+            robot.hear(sample.message)
+
+    def _add(self, name: str) -> RobotBridge | None:
+        namespace = self._choice.namespace
+        namespace = wire.namespace_of(name) if namespace is None else namespace
+        if self._namespaces.setdefault(namespace, name) != name or len(self._robots) >= ROBOTS_MAX:
+            return None
+        log.info("%s is /%s", name, namespace)
+        self._robots[name] = robot = RobotBridge(name, namespace, self._ros, self._choice, self._settings)
+        return robot
+
+    def _tick(self) -> None:
+        is_connected = self._ros.connected()
+        if is_connected is not self._was_connected:
+            self._was_connected = is_connected
+            log.warning(
+                "the ROS 2 router is %s", "back" if is_connected else "lost: robots that it drove are disengaged"
+            )
+        for robot in self._robots.values():
+            robot.tick(is_connected=is_connected)
+
+
+def shared_namespaces(robots: Sequence[str]) -> list[str]:
+    """Robots whose names give one namespace."""
+    found: dict[str, str] = {}
+    return [name for name in robots if found.setdefault(wire.namespace_of(name), name) != name]

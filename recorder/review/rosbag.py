@@ -1,0 +1,184 @@
+"""Logs as a rosbag2 directory, for ROS 2's tools, PlotJuggler and Foxglove: ``metadata.yaml`` and an MCAP file.
+
+It holds what ``schemas.ros.messages`` makes of the gateway's messages, each robot's below its namespace. All else
+is left out: rosbag2 wants every channel of a file in CDR. The log stays the evidence.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import IO, Any, Final
+
+import msgspec
+from mcap.writer import Writer
+
+from gateway.chassis.odometry import DeadReckoning
+from gateway.choice.chassis import CHASSIS
+from recorder.disk.files import give_name, new_path, staging
+from recorder.reading.logs import Faults, LogFile
+from recorder.reading.rows import Progress, Selection, decoded_rows
+from recorder.reading.survey import survey
+from schemas.command_line import CommandError, plain
+from schemas.decisions import SafetyState
+from schemas.messages import GatewayHealth, Odometry, RobotState
+from schemas.ros.cdr import definition, encode, type_hash
+from schemas.ros.messages import TOPICS, RosFace, RosMessage
+from schemas.ros.wire import namespace_of
+
+VERSION: Final = 9  # of metadata.yaml, as Jazzy and later write it
+DISTRIBUTION: Final = "jazzy"
+METADATA: Final = "metadata.yaml"
+
+_TOLD: Final = (Odometry, RobotState, SafetyState, GatewayHealth)
+_ENDLESS: Final = {"sec": 9223372036, "nsec": 854775807}
+_LATCHED: Final = "remote_stop"
+
+
+class Bag(msgspec.Struct, frozen=True):
+    """A bag that was written.
+
+    Attributes:
+        topics: messages by topic.
+    """
+
+    directory: str
+    messages: int
+    topics: dict[str, int]
+
+
+def export_bag(
+    logs: Sequence[LogFile],
+    directory: Path,
+    selection: Selection,
+    faults: Faults,
+    progress: Progress = lambda _: None,
+) -> Bag | None:
+    """Write a bag. Returns None if the logs hold nothing that ROS is told.
+
+    Raises:
+        CommandError: a bag is there already, or the disk does not take it.
+    """
+    wants = selection.wants
+    told = msgspec.structs.replace(selection, wants=lambda topic: topic.kind in _TOLD and wants(topic))
+    topics = survey(logs, Faults()).topics.values()
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        metadata = new_path(directory, "metadata", ".yaml")
+        file = new_path(directory, f"{directory.resolve().name}_0", ".mcap")
+        with staging(directory) as hidden:
+            with (hidden / file.name).open("wb") as stream:
+                bag = _BagWriter(stream, {topic.robot for topic in topics if topic.kind is Odometry})
+                for row, message in decoded_rows(logs, told, faults, progress):
+                    bag.add(row.topic.robot, row.log_ns, message)
+                bag.close()
+            if not bag.counts:
+                return None
+            (hidden / METADATA).write_text(bag.metadata(file.name), encoding="utf-8")
+            give_name(hidden / file.name, file)
+            give_name(hidden / METADATA, metadata)
+    except OSError as error:
+        raise CommandError(f"cannot write {plain(str(directory))}: {error.strerror or error}") from error
+    return Bag(str(directory), bag.counts.total(), dict(sorted(bag.counts.items())))
+
+
+class _BagWriter:
+    def __init__(self, stream: IO[bytes], reckoned: Collection[str]) -> None:
+        """Begin; of robots that are not ``reckoned`` the log has no odometry, and their states give it."""
+        self._reckoned = reckoned
+        self._reckonings: dict[str, DeadReckoning] = {}
+        self.counts: Counter[str] = Counter()
+        self._writer = Writer(stream)
+        self._writer.start("ros2", "cruiser-gateway")
+        self._faces: dict[str, RosFace] = {}
+        self._channels: dict[str, int] = {}
+        self._first_ns = self._last_ns = 0
+
+    def add(self, robot: str, log_ns: int, message: object) -> None:
+        face = self._faces.setdefault(robot, RosFace(robot, CHASSIS.wheel_radius_m))
+        found = [message]
+        if isinstance(message, RobotState) and robot not in self._reckoned:
+            reckoning = self._reckonings.setdefault(robot, DeadReckoning(CHASSIS.wheelbase_m))
+            reckoning.move(message.time_ns, message.speed_mps, message.angle_deg)
+            found.append(reckoning.report())
+        for one in found:
+            for said in face.convert(one):
+                self._write(f"/{namespace_of(robot)}/{said.topic}", log_ns, said)
+
+    def _write(self, topic: str, log_ns: int, said: RosMessage) -> None:
+        type_name = TOPICS[said.topic]
+        if topic not in self._channels:
+            schema = self._writer.register_schema(type_name, "ros2msg", definition(type_name).encode())
+            self._channels[topic] = self._writer.register_channel(
+                topic,
+                "cdr",
+                schema,
+                {"offered_qos_profiles": _qos(topic), "topic_type_hash": type_hash(type_name)},
+            )
+        if not self.counts:
+            self._first_ns = log_ns
+        self._first_ns, self._last_ns = min(self._first_ns, log_ns), max(self._last_ns, log_ns)
+        self.counts[topic] += 1
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=log_ns,
+            data=encode(type_name, said.fields),
+            publish_time=said.time_ns,
+            sequence=self.counts[topic],
+        )
+
+    def close(self) -> None:
+        self._writer.finish()
+
+    def metadata(self, file: str) -> str:
+        """The text of metadata.yaml: JSON, which is YAML too."""
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": self._first_ns},
+            "duration": {"nanoseconds": self._last_ns - self._first_ns},
+            "message_count": self.counts.total(),
+        }
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": (type_name := TOPICS[topic.rpartition("/")[2]]),
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": json.loads(_qos(topic)),
+                    "type_description_hash": type_hash(type_name),
+                },
+                "message_count": count,
+            }
+            for topic, count in sorted(self.counts.items())
+        ]
+        about: dict[str, Any] = {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **span,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file],
+            "files": [{"path": file, **span}],
+            "custom_data": None,
+            "ros_distro": DISTRIBUTION,
+        }
+        return json.dumps({"rosbag2_bagfile_information": about}, indent=2) + "\n"
+
+
+def _qos(topic: str) -> str:
+    """The offered QoS of a topic, as rosbag2 writes it: a list, in YAML."""
+    is_latched = topic.endswith(f"/{_LATCHED}")
+    profile = {
+        "history": "keep_last",
+        "depth": 1 if is_latched else 10,
+        "reliability": "reliable",
+        "durability": "transient_local" if is_latched else "volatile",
+        "deadline": _ENDLESS,
+        "lifespan": _ENDLESS,
+        "liveliness": "automatic",
+        "liveliness_lease_duration": _ENDLESS,
+        "avoid_ros_namespace_conventions": False,
+    }
+    return json.dumps([profile])
