@@ -26,8 +26,8 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
 from schemas.command_line import CommandError
 from schemas.decisions import SafetyState
-from schemas.ros import messages, types, wire
-from schemas.ros.messages import OK, STALE, WARN, RosFace, stamp, status
+from schemas.ros import face, types, wire
+from schemas.ros.face import OK, STALE, WARN, RosFace, stamp, status
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -42,7 +42,7 @@ QUIET: Final = frozenset({"ackermann_output"})  # in bags alone: the graph has t
 
 
 class RosChoice(msgspec.Struct, frozen=True):
-    """What a bridge does.
+    """The choices of a bridge.
 
     Attributes:
         namespace: of a single robot; None for each robot's own name.
@@ -71,7 +71,7 @@ class RobotBridge:
         self._node = ros.node(namespace, NODE)
         self._topics = {
             topic: ros.publisher(self._node, topic, type_name, latched=topic == "remote_stop")
-            for topic, type_name in messages.TOPICS.items()
+            for topic, type_name in face.TOPICS.items()
             if topic not in QUIET and (choice.tf or topic != "tf")
         }
         self._state: SafetyState | None = None
@@ -235,7 +235,7 @@ class RobotBridge:
         return [node for topic in topics for node in self._ros.publishers(topic)]
 
     def _commands_status(self) -> dict[str, object]:
-        """What became of the graph's commands."""
+        """The result of the graph's commands."""
         if not self._choice.drive:
             return status(
                 OK, f"{self.name}: ROS commands", "read only: 'cruiser ros --drive' takes commands", self.name, {}

@@ -15,7 +15,7 @@ import msgspec
 from gateway.client.link import SetPoint
 from schemas.ros import types
 from schemas.ros.cdr import CdrError, decode
-from schemas.ros.messages import time_of
+from schemas.ros.face import time_of
 from schemas.ros.wire import read_attachment, type_of
 
 AGE_MAX_NS: Final = 300_000_000
@@ -128,7 +128,7 @@ class CommandReader:
 
 
 def _stamp_fault(message: dict[str, Any], wall_ns: int) -> str:
-    """What is wrong with a message's stamp; empty without one."""
+    """The fault of a message's stamp; empty without one."""
     stamp_ns = time_of(message["header"]) if "header" in message else 0
     late_ns = wall_ns - stamp_ns
     if not stamp_ns or abs(late_ns) <= AGE_MAX_NS:
@@ -138,7 +138,7 @@ def _stamp_fault(message: dict[str, Any], wall_ns: int) -> str:
 
 
 def _set_point(type_name: str, message: dict[str, Any], angle_deg: float) -> tuple[SetPoint | None, str]:
-    """What a message asks for, and a note on it."""
+    """The set point that a message asks for, and a note on it."""
     if type_name == types.ACKERMANN:
         drive = message["drive"]
         speed_mps, turn = drive["speed"], degrees(drive["steering_angle"])

@@ -22,7 +22,7 @@ from schemas import keys
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.ros import wire
 from schemas.ros.cdr import encode, type_hash
-from schemas.ros.wire import Attachment, Endpoint, Kind
+from schemas.ros.wire import Attachment, Endpoint, EntityKind
 from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from schemas.zenoh_session import join, open_session
@@ -31,7 +31,7 @@ WAITING_MAX: Final = 4096  # arrivals that may wait; beyond it the oldest go
 
 
 class Arrivals:
-    """What arrived on Zenoh's threads, until one thread takes it."""
+    """A queue of arrivals from Zenoh's threads, for one thread."""
 
     def __init__(self) -> None:
         self._queue: deque[tuple[Callable[[Any, int], None], Any, int]] = deque(maxlen=WAITING_MAX)
@@ -56,7 +56,7 @@ class Arrivals:
 
 
 class RobotFeed(SessionOwner):
-    """What ROS is told of robots: one, or several by a pattern."""
+    """The samples of robots that are published to ROS; a robot may be a pattern of names."""
 
     SUBJECTS: Final = ("chassis/odometry", "state", "safety/state", "gateway/health")
 
@@ -131,7 +131,7 @@ class RosSession(SessionOwner):
         self._publishers: dict[str, Endpoint] = {}
         handler = arrivals.to(lambda sample, _: self._meet(sample))
         # Chunks: root, domain, session, node, endpoint, kind, enclave, namespace, node, topic, type, hash, qos.
-        tokens = f"{wire.TOKENS}/{domain}/*/*/*/{Kind.PUBLISHER.value}/*/*/*/*/*/*/*"
+        tokens = f"{wire.TOKENS}/{domain}/*/*/*/{EntityKind.PUBLISHER.value}/*/*/*/*/*/*/*"
         self._declared.append(session.liveliness().declare_subscriber(tokens, handler, history=True))
 
     @classmethod
@@ -164,7 +164,7 @@ class RosSession(SessionOwner):
 
     def node(self, namespace: str, name: str) -> Endpoint:
         """Declare a node."""
-        node = Endpoint(self._domain, self._zid, self._number(), 0, Kind.NODE, namespace, name)
+        node = Endpoint(self._domain, self._zid, self._number(), 0, EntityKind.NODE, namespace, name)
         node = msgspec.structs.replace(node, endpoint_id=node.node_id)
         self._token(node)
         return node
@@ -180,7 +180,7 @@ class RosSession(SessionOwner):
             )
         else:
             publisher = self._session.declare_publisher(key)
-        self._endpoint(node, Kind.PUBLISHER, name, type_name, wire.LATCHED if latched else wire.RELIABLE)
+        self._endpoint(node, EntityKind.PUBLISHER, name, type_name, wire.LATCHED if latched else wire.RELIABLE)
         self._declared.append(publisher)
         return RosPublisher(publisher, type_name)
 
@@ -192,7 +192,7 @@ class RosSession(SessionOwner):
         handler = self._arrivals.to(lambda sample, arrived_ns: take(received_of(sample), arrived_ns))
         self._declared.append(self._session.declare_subscriber(f"{self._domain}/{name}/*/*", handler))
         for type_name in type_names:
-            self._endpoint(node, Kind.SUBSCRIPTION, name, type_name, wire.BEST_EFFORT)
+            self._endpoint(node, EntityKind.SUBSCRIPTION, name, type_name, wire.BEST_EFFORT)
 
     def serve(self, node: Endpoint, service: str, type_name: str, take: Callable[[RosRequest], None]) -> None:
         """Declare a service below the node's namespace."""
@@ -200,12 +200,12 @@ class RosSession(SessionOwner):
         key = self._key(name, type_name)
         handler = self._arrivals.to(lambda query, _: take(RosRequest(query, key)))
         self._declared.append(self._session.declare_queryable(key, handler, complete=True))
-        self._endpoint(node, Kind.SERVER, name, type_name, wire.RELIABLE)
+        self._endpoint(node, EntityKind.SERVER, name, type_name, wire.RELIABLE)
 
     def _key(self, name: str, type_name: str) -> str:
         return wire.key_of(self._domain, name, type_name, hashes=self._hashes)
 
-    def _endpoint(self, node: Endpoint, kind: Kind, name: str, type_name: str, qos: str) -> None:
+    def _endpoint(self, node: Endpoint, kind: EntityKind, name: str, type_name: str, qos: str) -> None:
         endpoint = msgspec.structs.replace(
             node,
             endpoint_id=self._number(),

@@ -1,6 +1,6 @@
 """Logs as a rosbag2 directory, for ROS 2's tools, PlotJuggler and Foxglove: ``metadata.yaml`` and an MCAP file.
 
-It holds what ``schemas.ros.messages`` makes of the gateway's messages, each robot's below its namespace. All else
+It holds what ``schemas.ros.face`` makes of the gateway's messages, each robot's below its namespace. All else
 is left out: rosbag2 wants every channel of a file in CDR. The log stays the evidence.
 """
 
@@ -9,15 +9,16 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Collection, Sequence
+from importlib.metadata import version
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 import msgspec
-from mcap.writer import Writer
 
 from gateway.chassis.odometry import DeadReckoning
 from gateway.choice.chassis import CHASSIS
 from recorder.disk.files import give_name, new_path, staging
+from recorder.mcap.writer import ChunkBuilder, LogChannel, LogStream, McapFile
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Progress, Selection, decoded_rows
 from recorder.reading.survey import survey
@@ -25,12 +26,13 @@ from schemas.command_line import CommandError, plain
 from schemas.decisions import SafetyState
 from schemas.messages import GatewayHealth, Odometry, RobotState
 from schemas.ros.cdr import definition, encode, type_hash
-from schemas.ros.messages import TOPICS, RosFace, RosMessage
+from schemas.ros.face import TOPICS, RosFace, RosMessage
 from schemas.ros.wire import namespace_of
 
 VERSION: Final = 9  # of metadata.yaml, as Jazzy and later write it
 DISTRIBUTION: Final = "jazzy"
 METADATA: Final = "metadata.yaml"
+CHUNK_BYTES: Final = 1 << 20
 
 _TOLD: Final = (Odometry, RobotState, SafetyState, GatewayHealth)
 _ENDLESS: Final = {"sec": 9223372036, "nsec": 854775807}
@@ -69,7 +71,7 @@ def export_bag(
         metadata = new_path(directory, "metadata", ".yaml")
         file = new_path(directory, f"{directory.resolve().name}_0", ".mcap")
         with staging(directory) as hidden:
-            with (hidden / file.name).open("wb") as stream:
+            with (hidden / file.name).open("wb", buffering=0) as stream:
                 bag = _BagWriter(stream, {topic.robot for topic in topics if topic.kind is Odometry})
                 for row, message in decoded_rows(logs, told, faults, progress):
                     bag.add(row.topic.robot, row.log_ns, message)
@@ -85,13 +87,13 @@ def export_bag(
 
 
 class _BagWriter:
-    def __init__(self, stream: IO[bytes], reckoned: Collection[str]) -> None:
+    def __init__(self, stream: LogStream, reckoned: Collection[str]) -> None:
         """Begin; of robots that are not ``reckoned`` the log has no odometry, and their states give it."""
         self._reckoned = reckoned
         self._reckonings: dict[str, DeadReckoning] = {}
         self.counts: Counter[str] = Counter()
-        self._writer = Writer(stream)
-        self._writer.start("ros2", "cruiser-gateway")
+        self._file = McapFile(stream, f"cruiser-gateway {version('cruiser-gateway')}", "ros2")
+        self._chunk = ChunkBuilder(CHUNK_BYTES)
         self._faces: dict[str, RosFace] = {}
         self._channels: dict[str, int] = {}
         self._first_ns = self._last_ns = 0
@@ -110,27 +112,26 @@ class _BagWriter:
     def _write(self, topic: str, log_ns: int, said: RosMessage) -> None:
         type_name = TOPICS[said.topic]
         if topic not in self._channels:
-            schema = self._writer.register_schema(type_name, "ros2msg", definition(type_name).encode())
-            self._channels[topic] = self._writer.register_channel(
-                topic,
-                "cdr",
-                schema,
-                {"offered_qos_profiles": _qos(topic), "topic_type_hash": type_hash(type_name)},
-            )
+            self._channels[topic] = channel = len(self._channels) + 1
+            about = {"offered_qos_profiles": _qos(topic), "topic_type_hash": type_hash(type_name)}
+            schema = definition(type_name).encode()
+            self._file.add_channel(LogChannel(channel, topic, type_name, schema, "ros2msg", "cdr", about))
         if not self.counts:
             self._first_ns = log_ns
         self._first_ns, self._last_ns = min(self._first_ns, log_ns), max(self._last_ns, log_ns)
         self.counts[topic] += 1
-        self._writer.add_message(
-            self._channels[topic],
-            log_time=log_ns,
-            data=encode(type_name, said.fields),
-            publish_time=said.time_ns,
-            sequence=self.counts[topic],
-        )
+        data = encode(type_name, said.fields)
+        self._chunk.add(self._channels[topic], self.counts[topic], log_ns, said.time_ns, data)
+        if self._chunk.is_full:
+            self._seal()
 
     def close(self) -> None:
-        self._writer.finish()
+        self._seal()
+        self._file.finish()
+
+    def _seal(self) -> None:
+        if (chunk := self._chunk.seal()) is not None:
+            self._file.write_chunk(chunk)
 
     def metadata(self, file: str) -> str:
         """The text of metadata.yaml: JSON, which is YAML too."""

@@ -40,7 +40,7 @@ class CdrError(ValueError):
     """Bytes that are no message of the type."""
 
 
-class Field(msgspec.Struct, frozen=True):
+class CdrField(msgspec.Struct, frozen=True):
     """A field of a type.
 
     Attributes:
@@ -59,12 +59,12 @@ class Field(msgspec.Struct, frozen=True):
 
 
 @cache
-def fields_of(type_name: str) -> tuple[Field, ...]:
+def fields_of(type_name: str) -> tuple[CdrField, ...]:
     """The fields of a type, without its constants."""
     return tuple(_field(line) for line in DEFINITIONS[type_name].split("\n") if "=" not in line.replace("<=", ""))
 
 
-def _field(line: str) -> Field:
+def _field(line: str) -> CdrField:
     match = _FIELD.fullmatch(line)
     if match is None:
         raise AssertionError(f"no field of a message: {line!r}")
@@ -73,7 +73,7 @@ def _field(line: str) -> Field:
     nested = ""
     if base not in _PRIMITIVES:
         nested = base if base in DEFINITIONS else base.replace("/", "/msg/")
-    return Field(name, base, nested, "" if nested else _PRIMITIVES[base][0], array, int(length or 0))
+    return CdrField(name, base, nested, "" if nested else _PRIMITIVES[base][0], array, int(length or 0))
 
 
 def encode(type_name: str, message: Mapping[str, Any]) -> bytes:
@@ -101,7 +101,7 @@ def _put(out: bytearray, type_name: str, message: Mapping[str, Any]) -> None:
                 _put_one(out, field, item)
 
 
-def _put_one(out: bytearray, field: Field, value: Any) -> None:  # noqa: ANN401 - of the field's own type
+def _put_one(out: bytearray, field: CdrField, value: Any) -> None:  # noqa: ANN401 - of the field's own type
     if field.nested:
         _put(out, field.nested, value or {})
     elif field.format:
@@ -149,7 +149,7 @@ class _Reader:
     def message(self, type_name: str) -> dict[str, Any]:
         return {field.name: self._value(field) for field in fields_of(type_name)}
 
-    def _value(self, field: Field) -> Any:  # noqa: ANN401 - of the field's own type
+    def _value(self, field: CdrField) -> Any:  # noqa: ANN401 - of the field's own type
         if not field.array:
             return self._one(field)
         count = field.length if field.array == _FIXED else self._count()
@@ -159,7 +159,7 @@ class _Reader:
             list(self._numbers(field.format, count)) if field.format else [self._one(field) for _ in range(count)]
         )
 
-    def _one(self, field: Field) -> Any:  # noqa: ANN401 - as above
+    def _one(self, field: CdrField) -> Any:  # noqa: ANN401 - as above
         if field.nested:
             return self.message(field.nested)
         if field.format:

@@ -28,8 +28,8 @@ _ATTACHMENT: Final = struct.Struct(f"<qqB{GID_BYTES}s")
 _NAME: Final = re.compile(r"(?!.*__)[A-Za-z_][A-Za-z0-9_]*")
 
 
-class Kind(Enum):
-    """What a liveliness token stands for."""
+class EntityKind(Enum):
+    """The kind of entity that a liveliness token announces."""
 
     NODE = "NN"
     PUBLISHER = "MP"
@@ -39,7 +39,7 @@ class Kind(Enum):
 
 
 class Attachment(msgspec.Struct, frozen=True):
-    """What is sent beside each message, request and reply.
+    """The attachment of each message, request and reply.
 
     Attributes:
         sequence: from 1, by endpoint; of a reply, the request's.
@@ -109,7 +109,7 @@ def type_of(key: str) -> str:
 
 
 class Endpoint(msgspec.Struct, frozen=True):
-    """What a token says of a node, or of a topic or service of it.
+    """A node, or a topic or service of it, as its token announces it.
 
     Attributes:
         session: the Zenoh session's identifier, in hexadecimal.
@@ -124,7 +124,7 @@ class Endpoint(msgspec.Struct, frozen=True):
     session: str
     node_id: int
     endpoint_id: int
-    kind: Kind
+    kind: EntityKind
     namespace: str
     node: str
     name: str = ""
@@ -145,7 +145,7 @@ class Endpoint(msgspec.Struct, frozen=True):
             _mangled(self.namespace),
             self.node,
         ]
-        if self.kind is not Kind.NODE:
+        if self.kind is not EntityKind.NODE:
             parts += [_mangled(self.name), self.type_name, self.type_hash, self.qos]
         return "/".join(parts)
 
@@ -159,10 +159,10 @@ def read_token(key: str) -> Endpoint | None:
     parts = key.split("/")
     try:
         root, domain, session, node_id, endpoint_id, kind, _enclave, namespace, node, *topic = parts
-        head = (int(domain), session, int(node_id), int(endpoint_id), Kind(kind), _plain(namespace), node)
+        head = (int(domain), session, int(node_id), int(endpoint_id), EntityKind(kind), _plain(namespace), node)
     except ValueError:
         return None
-    if root != TOKENS or len(topic) != (0 if head[4] is Kind.NODE else 4):
+    if root != TOKENS or len(topic) != (0 if head[4] is EntityKind.NODE else 4):
         return None
     if not topic:
         return Endpoint(*head)

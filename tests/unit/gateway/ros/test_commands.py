@@ -9,7 +9,7 @@ from gateway.client.link import SetPoint
 from gateway.ros.commands import AGE_MAX_NS, CommandReader, RosCommand
 from schemas.ros import types
 from schemas.ros.cdr import encode
-from schemas.ros.messages import stamp
+from schemas.ros.face import stamp
 from schemas.ros.wire import NO_HASH, Attachment, key_of
 
 NOW_NS = 50_000_000_000

@@ -118,7 +118,7 @@ def test_a_bag_says_what_rosbag2_wants_to_know(tmp_path: Path) -> None:
 def test_nothing_is_overwritten_and_nothing_is_left_of_an_empty_bag(tmp_path: Path) -> None:
     logs, out = made("guard-stop", tmp_path)
     before = sorted((path.name, path.stat().st_mtime_ns) for path in out.iterdir())
-    with pytest.raises(CommandError, match="nothing is overwritten"):
+    with pytest.raises(CommandError, match="exists, and is not overwritten"):
         exported(logs, out)
     assert sorted((path.name, path.stat().st_mtime_ns) for path in out.iterdir()) == before
     assert exported([saved(tmp_path / "gears.mcap", small_log())], tmp_path / "empty") is None

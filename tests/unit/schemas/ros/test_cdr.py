@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from schemas.ros import types
 from schemas.ros.cdr import ITEMS_MAX, CdrError, decode, definition, encode, fields_of, type_hash
-from schemas.ros.messages import TOPICS
+from schemas.ros.face import TOPICS
 
 SPOKEN = sorted({*TOPICS.values(), types.TWIST, types.TWIST_STAMPED})
 DISTRIBUTIONS = (Stores.ROS2_JAZZY, Stores.ROS2_KILTED, Stores.ROS2_LYRICAL)

@@ -13,7 +13,7 @@ from schemas.ros.wire import (
     NO_HASH,
     Attachment,
     Endpoint,
-    Kind,
+    EntityKind,
     is_namespace,
     key_of,
     namespace_of,
@@ -24,13 +24,13 @@ from schemas.ros.wire import (
 
 ODOMETRY = "nav_msgs::msg::dds_::Odometry_"
 SESSION = "aac3178e146ba6f1fc6e6a4085e77f21"
-NODE = Endpoint(2, SESSION, 10, 10, Kind.NODE, "robot1", "talker")
+NODE = Endpoint(2, SESSION, 10, 10, EntityKind.NODE, "robot1", "talker")
 PUBLISHER = Endpoint(
     2,
     SESSION,
     10,
     11,
-    Kind.PUBLISHER,
+    EntityKind.PUBLISHER,
     "",
     "talker",
     "robot1/odom",

@@ -27,7 +27,7 @@ TOPICS: Final = {
     "remote_stop": types.BOOL,
     "ackermann_output": types.ACKERMANN,
 }
-"""What is said of a robot, by topic: names below its namespace."""
+"""The types of a robot's topics, by their names below its namespace."""
 
 UNKNOWN_VARIANCE: Final = 1e6  # of what a planar robot does not measure: z, roll, pitch, and speeds along them
 OK, WARN, ERROR, STALE = range(4)

@@ -10,7 +10,7 @@ from schemas.decisions import ArbiterState, SafetyState
 from schemas.messages import GatewayHealth, Odometry, RobotState
 from schemas.reasons import Reason
 from schemas.ros.cdr import decode, encode
-from schemas.ros.messages import ERROR, OK, TOPICS, WARN, RosFace, RosMessage, stamp, time_of
+from schemas.ros.face import ERROR, OK, TOPICS, WARN, RosFace, RosMessage, stamp, time_of
 from tests.support.messages import HEALTH, STANDBY, STATE
 
 RADIUS_M = 0.21
