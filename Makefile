@@ -55,7 +55,7 @@ PAGES = tests/nightly/test_desk.py \
 NIGHT = night-long night-rows night-system night-pages night-scenarios night-fuzz bench-short drive-clients test-zenohd test-store \
 	test-image test-cluster test-robot night-robot
 # One after the other; the rest runs even if a part fails.
-nightly:  ## run what takes too long for each change: the gate's whole domain, full matrices, properties with 300 examples, 10,000 random scenarios, the fuzzer, each bench, clients in other languages, Zenoh's own router; four hours
+nightly:  ## run what takes too long for each change, as listed in CONTRIBUTING.md; four hours
 	$(MAKE) --keep-going $(NIGHT)
 
 .PHONY: $(filter night-%,$(NIGHT))
