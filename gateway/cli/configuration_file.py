@@ -18,7 +18,7 @@ SYSTEM_FILE: Final = Path("/etc/cruiser/cruiser.toml")  # the settings of a robo
 # commands that read SYSTEM_FILE where no file is named
 OF_THE_ROBOT: Final = frozenset({"doctor", "gateway", "record"})
 
-_LOOKING: Final = ("list", "watch", "view", "why")
+_LOOKING: Final = ("list", "watch", "view", "why", "ros")
 _DRIVING: Final = ("drive", "stop", "reset", "lease", "park", "unpark", "light", "horn", "odometer")
 OWN_FILES: Final[Mapping[str, tuple[str, ...]]] = {
     "gateway": ("robot.toml",),
