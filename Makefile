@@ -39,20 +39,21 @@ test-unit: $(STAMP)  ## run the tests that need no process and no socket
 	$(ASIDE) $(BIN)/python -m pytest --numprocesses $$(nproc) --dist worksteal --ignore tests/system --timeout 600 tests
 
 # These have the machine to themselves: a browser that drives at 50 Hz stalls beside other tests, and the robot stops by its
-# deadman, as it should; the desk's questions about logs get only idle processor time; floods delay the others. The rest
-# mostly wait, so three run for each processor (tests/support/spreading.py distributes them).
-ALONE = $(addprefix tests/system/gateway/,test_desk.py test_desk_contact.py test_desk_logs.py) tests/system/test_floods.py
+# deadman, as it should; the desk's questions about logs get only idle processor time; floods and demos delay the others.
+# The rest mostly wait, so two run for each processor (tests/support/spreading.py distributes them).
+ALONE = $(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_logs.py test_floods.py \
+	test_readme.py gateway/cli/test_demo.py)
 # Headless Chromium takes two thirds of the processor time; `make nightly` uses the whole browser.
 test-system: export TEST_BROWSER ?= $(shell command -v chromium-headless-shell)
 test-system: $(STAMP)  ## run the tests that start gateways, recorders and browsers
 	$(BIN)/python -m pytest $(ALONE)
-	$(BIN)/python -m pytest --numprocesses $$((3 * $$(nproc))) --dist loadfile --no-loadscope-reorder \
+	$(BIN)/python -m pytest --numprocesses $$((2 * $$(nproc))) --dist loadfile --no-loadscope-reorder \
 		$(addprefix --ignore ,$(ALONE)) tests/system
 
 # By night again in the whole of Chromium, each way to let go of a robot twenty times.
 PAGES = tests/nightly/test_desk.py \
 	$(addprefix tests/system/,gateway/test_desk.py gateway/test_desk_contact.py gateway/test_desk_logs.py gateway/test_accessibility.py recorder/review/report)
-NIGHT = night-long night-rows night-system night-pages night-scenarios night-fuzz bench-short drive-clients test-zenohd test-store \
+NIGHT = night-long night-rows night-system night-pages night-scenarios night-fuzz drive-clients test-zenohd test-store \
 	test-image test-cluster test-robot night-robot
 # One after the other; the rest runs even if a part fails.
 nightly:  ## run what takes too long for each change, as listed in CONTRIBUTING.md; four hours
