@@ -112,7 +112,6 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser watch cruiser-1 --root replay --connect tcp/127.0.0.1:7450": Start("cruiser-1"),
     # A payload, on a robot.
     "import msgpack, zenoh": Start("'speed_mps'", code=-signal.SIGINT),
-    'import { decode } from "@msgpack/msgpack";': "JavaScript, whose packages are not ours",
     "ip link set can0 up txqueuelen 10 type can bitrate 500000 restart-ms 100": "wants a robot's can0, and root",
     "cruiser gateway --robot cruiser-7": "wants a robot's can0; tests/socketcan has a vcan",
 }
