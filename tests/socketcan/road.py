@@ -47,9 +47,9 @@ def gateway(channel: str, endpoint: str, *words: str) -> Iterator[Running]:
 
 
 @contextmanager
-def operator(endpoint: str, robot: str = "cruiser-1", name: str = "first") -> Iterator[Robot]:
+def operator(endpoint: str) -> Iterator[Robot]:
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint]))
-    with Robot.connect(robot, name, settings, CONNECT_S) as connected:
+    with Robot.connect("cruiser-1", "first", settings, CONNECT_S) as connected:
         yield connected
 
 

@@ -10,11 +10,11 @@ from gateway.can.can_bus import BusFull, SocketCanBus, open_socket
 from gateway.chassis.frame import EXTENDED, Frame
 from gateway.chassis.supervision import controller_state
 from schemas.messages import ControllerState
-from tests.socketcan.commands import BURST
 from tests.socketcan.serial_adapter import SerialAdapter
+from tests.support.bus_rules import DRIVE
 from tests.support.waiting import wait_until
 
-CAN_ID: Final = EXTENDED | BURST[0]
+CAN_ID: Final = EXTENDED | DRIVE
 
 TICK_FRAMES: Final = 8  # commands of a tick: the five that move it, odometer, light and horn
 
@@ -56,7 +56,7 @@ def test_a_tick_waits_for_the_bus_and_no_more() -> None:
         wait_until(lambda: len(adapter.frames) >= len(first))
         bus.send(numbered(TRIES))
         wait_until(lambda: len(adapter.frames) > len(first))
-        assert adapter.frames == [(BURST[0], numbered(number).data) for number in (*first, TRIES)]
+        assert adapter.frames == [(DRIVE, numbered(number).data) for number in (*first, TRIES)]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_off_the_bus_frames_are_thrown_away() -> None:
         adapter.restart()
         with opened(adapter) as bus:
             bus.send(numbered(2 * TRIES))
-            wait_until(lambda: (BURST[0], numbered(2 * TRIES).data) in adapter.frames)
+            wait_until(lambda: (DRIVE, numbered(2 * TRIES).data) in adapter.frames)
         assert len(adapter.frames) <= IN_THE_ADAPTER + 1
 
 

@@ -14,10 +14,11 @@ from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import Reason
 from tests.socketcan import commands
-from tests.socketcan.can_utils import Candump, Dumped
+from tests.socketcan.can_utils import Candump
 from tests.socketcan.hearing import Hearing, hearing
 from tests.socketcan.interface import Cable, Vcan
 from tests.socketcan.road import chassis, driving, gateway, operator, wait_engageable
+from tests.support.bus_rules import DRIVE, value
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.gateway import run
 from tests.support.waiting import wait_until
@@ -38,10 +39,6 @@ def wait_long(heard: Hearing) -> None:
     heard.hear()
     begun = len(heard.bus_up)
     heard.wait(lambda: len(heard.bus_up) >= begun + LONG_STATES)
-
-
-def speed_raw(drive: Dumped) -> int:
-    return int.from_bytes(drive.data[1:3], "little")
 
 
 def is_at_rest(robot: Robot, witness: Candump) -> bool:
@@ -93,7 +90,7 @@ def test_a_cable_that_is_off_for_a_while_is_one_loss_and_its_robot_is_stopped(tm
         wait_long(heard)
         assert changes(heard.bus_up) == [True, False, True]
         assert (heard.health.bus_up, heard.health.bus_detail, heard.health.bus_losses) == (True, "", 1)
-    speeds_raw = [speed_raw(frame) for frame in witness.frames if frame.can_id == commands.DRIVE]
+    speeds_raw = [value(DRIVE, "v", frame.data) for frame in commands.drives(witness.frames)]
     fastest = len(speeds_raw) - 1 - speeds_raw[::-1].index(SPEED_RAW)
     assert speeds_raw[fastest:] == sorted(speeds_raw[fastest:], reverse=True)
     sent = commands.of(witness.frames)
