@@ -102,8 +102,8 @@ COMMANDS: Final[dict[str, Run | Start | str]] = {
     "cruiser review why demo-log --at 16.3": Run("stop"),
     "cruiser review rerun demo-log": Run("different: 0"),
     "cruiser review rerun demo-log --set command.speed_limit_mps=0.4": Run("decisions differ"),
-    "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
     "cruiser review report demo-log -o report.html": Run(r"cruiser-1: \d+ drive.*the front bumper was hit"),
+    "cruiser review check logs": Run("Auto_DriveFeedBack: frames with a wrong checksum", codes=(1,)),
     'cruiser review query "SELECT reason, count(*) FROM safety_decision GROUP BY reason" demo-log': Run(
         r"none +\d"
     ),
