@@ -378,13 +378,7 @@ def browsers(data: bytes) -> None:
 # All of them, with their seeds.
 
 
-MESSAGES: Final = (
-    STANDBY,
-    gear(0),
-    info(),
-    safety_event(EventKind.ENGAGED),
-    batch(0, [(WALL_NS, feedback(0))]),
-)
+MESSAGES: Final = (STANDBY, gear(0), info(), safety_event(EventKind.ENGAGED), batch(0, [(WALL_NS, feedback(0))]))
 KINDS: Final[tuple[Subject | Verb[Any], ...]] = (*ALL_SUBJECTS, *ALL_VERBS)
 ORDERS: Final = (b"\x80", codec.encode(Mark("", "it swerved")))
 

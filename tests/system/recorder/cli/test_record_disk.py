@@ -19,15 +19,7 @@ from schemas.recording import GapReason, RecorderEventKind, RecorderState
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.logs import logs_in
 from tests.support.messages import FakeSample, safety_event, sample_of
-from tests.support.processes.recorder import (
-    Told,
-    ask,
-    at,
-    heard,
-    link,
-    recording,
-    whole,
-)
+from tests.support.processes.recorder import Told, ask, at, heard, link, recording, whole
 from tests.support.waiting import wait_until
 
 

@@ -17,14 +17,7 @@ from schemas.reasons import Reason
 from schemas.recording import RecorderEventKind
 from tests.support.fakes.peer import Peer, free_endpoint
 from tests.support.messages import STANDBY, gear, key_of, sample_of
-from tests.support.processes.recorder import (
-    Told,
-    at,
-    counts,
-    recording,
-    sequences,
-    whole,
-)
+from tests.support.processes.recorder import Told, at, counts, recording, sequences, whole
 from tests.support.waiting import wait_until
 
 

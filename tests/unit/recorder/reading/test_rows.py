@@ -18,10 +18,7 @@ CHANNELS = [
     LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(Gear)),
     LogChannel(2, DRIVE_TOPIC, schema_name(Drive), descriptor_set(Drive)),
 ]
-LOG = own_log(
-    [gears(0, 5, 100), [(2, 0, 200, b"")], gears(5, 5, 300), [(2, 1, 400, b"")]],
-    CHANNELS,
-)
+LOG = own_log([gears(0, 5, 100), [(2, 0, 200, b"")], gears(5, 5, 300), [(2, 1, 400, b"")]], CHANNELS)
 
 
 def rows(directory: Path, selection: Selection, *contents: bytes, faults: Faults | None = None) -> list[Row]:

@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap import records
 
-from recorder.encoding.protobuf import (
-    LOGGED,
-    compile_encoder,
-    descriptor_set,
-    message_class,
-    schema_name,
-)
+from recorder.encoding.protobuf import LOGGED, compile_encoder, descriptor_set, message_class, schema_name
 from recorder.reading.topics import UNREADABLE, Topic, foreign_decoder, topic_of, typed_decoder
 from schemas.decisions import Decision
 from schemas.messages import Gear

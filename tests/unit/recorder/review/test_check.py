@@ -243,12 +243,7 @@ def test_what_a_recorder_says_itself_may_have_waited() -> None:
 
 def test_messages_that_are_not_what_their_schema_says_are_found() -> None:
     good = ENCODE_GEAR(gear(0))
-    broken = [
-        (1, 1, 20, good[:-1]),
-        (1, 2, 30, b"\x0f" + good[1:]),
-        (1, 3, 40, b""),
-        (1, 4, 50, good + b"\x0a"),
-    ]
+    broken = [(1, 1, 20, good[:-1]), (1, 2, 30, b"\x0f" + good[1:]), (1, 3, 40, b""), (1, 4, 50, good + b"\x0a")]
     found = check(own_log([[gear_message(0, 10), *broken, gear_message(5, 60)]]))
     # No bytes at all are a message of defaults.
     assert (found.channels[0].unreadable, said(found)) == (3, ["messages do not match their schema"])
@@ -283,10 +278,7 @@ def test_files_of_others_are_sound(compression: CompressionType, use_chunking: b
         ({"data": b"{"}, ["messages do not match their schema"]),
         ({"schema": ("t", "jsonschema", b"{")}, ["the schema t is no JSON"]),
         ({"schema": None}, ["the channel has no schema"]),
-        (
-            {"encoding": "protobuf", "schema": ("a.B", "protobuf", b"\xff")},
-            ["the schema a.B cannot be read"],
-        ),
+        ({"encoding": "protobuf", "schema": ("a.B", "protobuf", b"\xff")}, ["the schema a.B cannot be read"]),
         (
             {
                 "encoding": "protobuf",

@@ -40,13 +40,7 @@ def part(
     out = directory / "out.mcap"
     out.unlink(missing_ok=True)
     [log] = find_logs([saved(directory / "log.mcap", data)], faults)
-    made = cut(
-        log,
-        out,
-        Selection(from_ns=period[0], to_ns=period[1]),
-        topics,
-        faults,
-    )
+    made = cut(log, out, Selection(from_ns=period[0], to_ns=period[1]), topics, faults)
     assert told is not None or (not faults and check_log(out).whole)
     return made, Read(out)
 

@@ -13,13 +13,7 @@ from recorder.reading.rows import Selection
 from recorder.review import events
 from recorder.review.entries import Entry, EntryKind
 from recorder.review.events import read_events
-from schemas.decisions import (
-    ArbiterState,
-    EventKind,
-    SafetyEvent,
-    SafetyState,
-    Severity,
-)
+from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity
 from schemas.messages import Message
 from schemas.reasons import Reason
 from schemas.recording import GapReason, RecorderEvent, RecorderEventKind, RecordGap

@@ -190,8 +190,7 @@ def test_topics_are_chosen_by_any_of_their_names(tmp_path: Path, pattern: str) -
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["{", "[]", '{"format": "x"}', json.dumps({"format": "cruiser-dataset", "version": 9, "product": ""})],
+    "text", ["{", "[]", '{"format": "x"}', json.dumps({"format": "cruiser-dataset", "version": 9, "product": ""})]
 )
 def test_a_manifest_that_cannot_be_read_is_told(tmp_path: Path, text: str) -> None:
     saved(tmp_path / MANIFEST_NAME, text.encode())

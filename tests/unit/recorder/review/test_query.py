@@ -68,10 +68,7 @@ def ask(source: Source, sql: str) -> list[dict[str, Any]]:
             "SELECT gear_position, log_time FROM chassis_gear WHERE robot = 'cruiser-2' AND sequence = 1",
             [{"gear_position": "drive", "log_time": "2027-01-15T08:00:00.010000000Z"}],
         ),
-        (
-            "SELECT count(*) AS n FROM chassis_gear a JOIN chassis_gear b USING (robot, sequence)",
-            [{"n": 35}],
-        ),
+        ("SELECT count(*) AS n FROM chassis_gear a JOIN chassis_gear b USING (robot, sequence)", [{"n": 35}]),
         ("SELECT DISTINCT bus, dlc FROM can_rx", [{"bus": "can0", "dlc": 8}]),
         ("SELECT count(*) AS n FROM can_rx WHERE log_time >= '2027-01-15'", [{"n": 3 * FRAMES}]),
         (

@@ -315,10 +315,7 @@ def without_configuration() -> bytes:
         ([of_depot], [("depot/cruiser-1", True, ""), ("fleet/cruiser-1", True, "")]),
         ([small_log], [("cruiser-1", True, "")]),
         # Start values would give decisions that nobody made.
-        (
-            [None, without_configuration],
-            [("cruiser-1", False, "the log does not hold the robot's configuration")],
-        ),
+        ([None, without_configuration], [("cruiser-1", False, "the log does not hold the robot's configuration")]),
         ([None, small_log], []),
     ],
     ids=["two recorders", "two roots", "beside one without a journal", "no configuration", "no journal"],

@@ -39,16 +39,7 @@ from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
 from tests.support.commands import review
 from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
 from tests.support.messages import ROBOT, key_of
-from tests.support.signed_run import (
-    SignedRun,
-    credentials_of,
-    driven,
-    log_of,
-    of,
-    recorder_of,
-    replaced,
-    signed,
-)
+from tests.support.signed_run import SignedRun, credentials_of, driven, log_of, of, recorder_of, replaced, signed
 
 FLEET = Fleet()
 RUN, ANN = driven(FLEET)

@@ -50,10 +50,7 @@ def row_of(message: Message, log_ns: int) -> Row:
 
 
 def summed_up(
-    *messages: Message,
-    off_ns: int = 0,
-    spans: Sequence[tuple[int, int]] = (),
-    to_ns: int = END_OF_TIME_NS,
+    *messages: Message, off_ns: int = 0, spans: Sequence[tuple[int, int]] = (), to_ns: int = END_OF_TIME_NS
 ) -> RobotReport:
     """Of messages that were received when they were sent, by a clock that is so much ahead."""
     account = Account("cruiser-1", "fleet/cruiser-1")
@@ -233,8 +230,7 @@ def test_what_was_before_the_beginning_of_the_log_is_not_in_the_report(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("from_s", "to_s", "gap_s"),
-    [(0, 8, 3.9 + 0.05), (6, 14, 6.4), (0, 20, 8.3), (0, 4, 0.05), (None, None, 8.3)],
+    ("from_s", "to_s", "gap_s"), [(0, 8, 3.9 + 0.05), (6, 14, 6.4), (0, 20, 8.3), (0, 4, 0.05), (None, None, 8.3)]
 )
 def test_a_pause_of_the_recorder_is_missing_in_any_period(
     tmp_path: Path, from_s: float | None, to_s: float | None, gap_s: float

@@ -33,13 +33,7 @@ from recorder.review.report.findings import (
     Spans,
     verdict,
 )
-from recorder.review.report.page import (
-    MOMENTS_SHOWN,
-    figures,
-    page,
-    safe_json,
-    text,
-)
+from recorder.review.report.page import MOMENTS_SHOWN, figures, page, safe_json, text
 from schemas.decisions import ArbiterState, Severity
 from schemas.messages import Message, Mode
 from tests.support.drives import HOSTILE, drive_messages, restart, write_messages
@@ -135,10 +129,7 @@ def changed(report: Report, **changes: object) -> Report:
             "1 drive, 10.0 m; no stops; 3 samples lost; 1 frame lost.",
         ),
         ({"stops": {}, "ends": {"disengaged": 2}}, "1 drive, 10.0 m; no stops; 2 normal ends."),
-        (
-            {"stops": {"remote_stop": 1}},
-            "1 drive, 10.0 m; 1 stop by an operator: a remote stop was received.",
-        ),
+        ({"stops": {"remote_stop": 1}}, "1 drive, 10.0 m; 1 stop by an operator: a remote stop was received."),
         (
             {"stops": {"front_bumper": 2, "hand_transmitter": 1}},
             f"1 drive, 10.0 m; 3 stops (2 faults, 1 by operators): 2 x {BUMPER}, 1 x {REMOTE}.",
