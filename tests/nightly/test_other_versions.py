@@ -1,6 +1,5 @@
 """Operators and recorders beside gateways of another version, from commits of the history (docs/operate.md)."""
 
-import os
 import re
 import subprocess
 import sys
@@ -51,18 +50,12 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Tree:
 
 @contextmanager
 def version(place: Path) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
-    os.environ.update(PYTHONPATH=str(place), PYTHONSAFEPATH="1")
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(place))
+        patch.setenv("PYTHONSAFEPATH", "1")
         found = [sys.executable, "-c", "import gateway; print(gateway.__file__)"]
         assert subprocess.run(found, capture_output=True, text=True, check=True).stdout.startswith(f"{place}/")
         yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextmanager

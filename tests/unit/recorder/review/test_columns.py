@@ -216,12 +216,6 @@ def messages(draw: st.DrawFn) -> Any:  # noqa: ANN401
     return message
 
 
-@given(st.lists(messages(), min_size=1, max_size=3))
-def test_every_kind_of_field_of_others_is_read(drawn: list[Any]) -> None:
-    rows = [fields_of(row) for row in rows_of(batches_of(one_chunk([one.SerializeToString() for one in drawn])))]
-    assert repr(rows) == repr([expected(one) for one in drawn])
-
-
 def one_chunk(data: list[bytes]) -> bytes:
     return numbered_log([channel(ALL_SCHEMA)], [[(1, one) for one in data]])
 

@@ -115,20 +115,17 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         assert contents(tmp_path / name) == before
 
 
-class FailingRunner:
-    """Runs the first task; then the disk is full."""
-
-    def __call__(
-        self, act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
-    ) -> Iterator[ExportOutcome]:
-        yield from HERE(act, tasks[:1], progress)
-        raise OSError(28, "No space left on device")
+def run_first(
+    act: Act[ExportTask, ExportOutcome], tasks: Sequence[ExportTask], progress: Progress
+) -> Iterator[ExportOutcome]:
+    yield from HERE(act, tasks[:1], progress)
+    raise OSError(28, "No space left on device")
 
 
 def test_an_export_that_fails_leaves_nothing(tmp_path: Path) -> None:
     first, second = saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log(first=20))
     with pytest.raises(CommandError, match="No space left"):
-        export([first, second], tmp_path / "out", run=FailingRunner())
+        export([first, second], tmp_path / "out", run=run_first)
     assert contents(tmp_path / "out") == {}
     (tmp_path / "out" / ".export-dead").mkdir()
     export([first, second], tmp_path / "out")

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import can
-import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -14,10 +13,10 @@ from recorder.reading.rows import Selection
 from recorder.review import raw_frames
 from recorder.review.raw_frames import WRITERS, LoggedFrame, read_frames, write_frames
 from schemas import codec
-from schemas.messages import CanFrame, CanFrames
+from schemas.messages import CanFrames
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import Log, saved
-from tests.support.messages import MS, WALL_NS, FakeSample, batch, feedback
+from tests.support.messages import MS, WALL_NS, FakeSample, batch, can_frame, feedback
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
@@ -107,19 +106,6 @@ def test_no_more_wait_than_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 # Files.
 
 START_NS = 1_800_000_000_123_456_000
-PLAIN = CanFrame(
-    time_ns=START_NS,
-    bus="can0",
-    identifier=0x18C4D1EF,
-    is_extended=True,
-    is_remote=False,
-    is_error=False,
-    is_fd=False,
-    bitrate_switch=False,
-    error_state_indicator=False,
-    dlc=8,
-    data=bytes(range(8)),
-)
 CHANGES: list[dict[str, object]] = [
     {},
     {"identifier": 0x123, "is_extended": False},
@@ -132,16 +118,6 @@ CHANGES: list[dict[str, object]] = [
     {"is_remote": True, "dlc": 4, "data": b""},
     {"identifier": 0x4, "is_extended": False, "is_error": True},
 ]
-SENT = [
-    LoggedFrame(
-        "cruiser-1",
-        number % 2 == 1,
-        msgspec.structs.replace(PLAIN, time_ns=START_NS + number * 1_234_567_000, **change),
-    )
-    for number, change in enumerate(CHANGES)
-]
-
-
 READERS = {"candump": can.CanutilsLogReader, "asc": can.ASCReader, "blf": can.BLFReader}
 
 
@@ -152,10 +128,11 @@ def test_frames_come_back_as_they_were(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, zone: str, offset_ms: int
 ) -> None:
     """Identifier, data, kind, direction, bus and time, wherever it is, as far as the form says them."""
-    sent = [
-        LoggedFrame(one.robot, one.is_sent, replace(one.frame, time_ns=one.frame.time_ns + offset_ms * MS))
-        for one in SENT
+    frames = [
+        replace(can_frame(time_ns=START_NS + offset_ms * MS + number * 1_234_567_000), **change)
+        for number, change in enumerate(CHANGES)
     ]
+    sent = [LoggedFrame("cruiser-1", number % 2 == 1, frame) for number, frame in enumerate(frames)]
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     try:

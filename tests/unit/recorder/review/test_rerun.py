@@ -1,17 +1,15 @@
 """Reruns: journals in order, and the comparison of recorded and rerun messages."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from copy import copy
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Message, Schema
 
 from gateway.rerun import rerun
 from recorder.encoding.protobuf import compile_encoder
@@ -42,6 +40,7 @@ from schemas.reasons import Reason
 from schemas.settings import CommandSettings, Settings
 from tests.support.logs import Log, mcap_log, saved, small_log
 from tests.support.messages import MS, SECOND, WALL_NS, FakeSample, info, sample_of
+from tests.support.reading import Read
 from tests.support.rigs.day import Day
 
 # The journals of a robot: given rows of a log, the parts of its runs.
@@ -277,28 +276,6 @@ def run_again(path: Path) -> tuple[list[RerunResult], Faults]:
     return found, faults
 
 
-LoggedMessage = tuple[Schema | None, Channel, Message]
-
-
-def read(log: Path) -> tuple[list[LoggedMessage], list[Attachment]]:
-    with log.open("rb") as stream:
-        reader = make_reader(stream)
-        return list(reader.iter_messages(log_time_order=False)), list(reader.iter_attachments())
-
-
-def write(path: Path, messages: Sequence[LoggedMessage], attachments: Iterable[Attachment]) -> Path:
-    channels = {
-        one.id: LogChannel(one.id, one.topic, schema.name, schema.data) for schema, one, _ in messages if schema
-    }
-    # In this log all times of receipt are the same.
-    rows = [
-        (channel.id, one.sequence, one.log_time + number, one.publish_time, one.data)
-        for number, (_, channel, one) in enumerate(messages)
-    ]
-    attached = [(one.name, one.data) for one in attachments]
-    return saved(path, mcap_log(channels.values(), [rows], attachments=attached))
-
-
 def of_depot() -> bytes:
     return day_log().replace(b"fleet/", b"depot/")
 
@@ -339,14 +316,25 @@ def test_logs_of_a_directory_are_run_again(
 def test_what_was_changed_or_put_in_is_a_difference(
     tmp_path: Path, log: Path, topic: str, *, is_put_in: bool
 ) -> None:
-    messages, attachments = read(log)
-    [*places] = (place for place, one in enumerate(messages) if one[1].topic.endswith(topic))
+    read = Read(log)
+    places = [place for place, one in enumerate(read.messages) if one[0].endswith(topic)]
     place = places[len(places) // 2]
-    schema, channel, message = messages[place]
-    forged = copy(message)
-    forged.data = message.data[:-1] + bytes([message.data[-1] ^ 1])
-    messages[place : place + (not is_put_in)] = [(schema, channel, forged)]
-    [result], _ = run_again(write(tmp_path / "changed.mcap", messages, attachments))
+    *head, data = read.messages[place]
+    forged: Any = (*head, data[:-1] + bytes([data[-1] ^ 1]))
+    read.messages[place : place + (not is_put_in)] = [forged]
+    channels = {
+        one.topic: LogChannel(one.id, one.topic, schema.name, schema.data)
+        for one in read.channels
+        if (schema := read.schemas.get(one.schema_id))
+    }
+    # In this log all times of receipt are the same.
+    rows = [
+        (channels[topic].channel_id, sequence, log_ns + number, publish_ns, data)
+        for number, (topic, sequence, log_ns, publish_ns, data) in enumerate(read.messages)
+    ]
+    attachments = [(one.name, one.data) for one in read.attachments]
+    changed = saved(tmp_path / "changed.mcap", mcap_log(channels.values(), [rows], attachments=attachments))
+    [result], _ = run_again(changed)
     if topic.startswith("safety/") and not is_put_in:  # The last byte is one of the words.
         assert (result.reworded, result.difference_count) == (1, 0)
         return

@@ -18,8 +18,6 @@ from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
 from gateway.command.rulings import Credentials
-from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
-from recorder.mcap.writer import LogChannel, McapFile
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.survey import survey
 from recorder.record.signed_mode import LogSigner
@@ -37,8 +35,9 @@ from schemas.reasons import Reason
 from schemas.subjects import BY_VERB
 from tests.support.authority import DAY_S, NOW_S, Fleet, Party, S
 from tests.support.commands import review
-from tests.support.logs import Disk, channel_of, foreign_log, saved, sealed
+from tests.support.logs import channel_of, encoded, foreign_log, mcap_log, saved
 from tests.support.messages import ROBOT, key_of
+from tests.support.provisioned import write_authority
 from tests.support.signed_run import SignedRun, credentials_of, driven, log_of, of, recorder_of, replaced, signed
 
 FLEET = Fleet()
@@ -46,6 +45,7 @@ RUN, ANN = driven(FLEET)
 SAMPLES = tuple(RUN.samples)
 RECORDER = recorder_of(FLEET)
 KINDS = list(dict.fromkeys(type(one) for one in SAMPLES))
+CHANNELS = [channel_of(kind, number, key_of(kind)) for number, kind in enumerate(KINDS, start=1)]
 OTHERS_CHANNEL = len(KINDS) + 1
 CHANGED, WRONG, NOT_GRANTED = ProofFault.CHANGED, ProofFault.WRONGLY_SIGNED, ProofFault.NOT_GRANTED
 UNPROVEN, OTHERS = ProofFault.UNPROVEN, ProofFault.OTHER_AUTHORITY
@@ -250,25 +250,15 @@ def test_a_copy_says_nothing_new_and_counts_once() -> None:
 # What the log says of its samples, and what its summary leaves out.
 
 
-def row_of(message: Message, late_ns: int = 0) -> tuple[int, int, int, bytes]:
+def row_of(message: Message, late_ns: int = 0) -> tuple[int, int, int, int, bytes]:
     at_ns = message.time_ns
-    return message.sequence, at_ns, at_ns + late_ns, compile_encoder(type(message))(message)
+    return KINDS.index(type(message)) + 1, message.sequence, at_ns, at_ns + late_ns, encoded(message)
 
 
 def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path) -> None:
     changed = of(SAMPLES, Decision)[2]
-    disk = Disk()
-    file = McapFile(disk, "test")
-    for number, kind in enumerate(KINDS, start=1):
-        file.add_channel(LogChannel(number, key_of(kind), schema_name(kind), descriptor_set(kind)))
-    file.write_chunk(
-        sealed(
-            (KINDS.index(type(one)) + 1, *row_of(one, late_ns=place == changed))
-            for place, one in enumerate(SAMPLES)
-        )
-    )
-    file.finish()
-    report = verified_files([signed(saved(tmp_path / "log.mcap", disk.getvalue()), RECORDER)], FLEET.trust)
+    data = mcap_log(CHANNELS, [[row_of(one, late_ns=place == changed) for place, one in enumerate(SAMPLES)]])
+    report = verified_files([signed(saved(tmp_path / "log.mcap", data), RECORDER)], FLEET.trust)
     assert faults_of(report) == {CHANGED}
     assert "another time" in words_of(report)
     assert report.findings[0].time_ns == SAMPLES[changed].time_ns
@@ -276,15 +266,9 @@ def test_what_the_log_says_of_a_sample_is_held_against_the_sample(tmp_path: Path
 
 def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None:
     topic = key_of(SafetyEvent).replace(ROBOT, "cruiser-2")
-    disk = Disk()
-    file = McapFile(disk, "test")
-    for number, one in enumerate(KINDS, start=1):
-        file.add_channel(channel_of(one, number, key_of(one)))
-    file.add_channel(channel_of(SafetyEvent, OTHERS_CHANNEL, topic))
-    file.write_chunk(sealed((KINDS.index(type(one)) + 1, *row_of(one)) for one in SAMPLES))
-    file.write_chunk(sealed([(OTHERS_CHANNEL, *row_of(SAMPLES[of(SAMPLES, SafetyEvent)[2]]))]))
-    file.finish()
-    data = bytearray(disk.getvalue())
+    channels = [*CHANNELS, channel_of(SafetyEvent, OTHERS_CHANNEL, topic)]
+    of_other = (OTHERS_CHANNEL, *row_of(SAMPLES[of(SAMPLES, SafetyEvent)[2]])[1:])
+    data = bytearray(mcap_log(channels, [map(row_of, SAMPLES), [of_other]]))
     # A record that nobody knows in the place of the channel's, and a summary without a checksum.
     begin = data.rfind(topic.encode()) - 17
     assert data[begin] == Opcode.CHANNEL
@@ -530,11 +514,6 @@ def test_no_part_of_an_honest_log_is_said_to_be_forged(spans: tuple[int, int, in
 # The command.
 
 
-def authority_file(directory: Path, fleet: Fleet = FLEET) -> Path:
-    said = {"active": fleet.authority.key.hex(), "standby": fleet.standby.key.hex()}
-    return saved(directory / "authority.json", json.dumps(said).encode())
-
-
 OTHER, WHOLE, LONG = Fleet(), log_of(SAMPLES), log_of(driven(FLEET, 12)[0].samples)
 OTHER_KEYS = keys_fingerprint(AuthorityKeys(OTHER.authority.key.hex(), OTHER.standby.key.hex()))
 OPENED = log_of([one for one in SAMPLES if isinstance(one, Journal | Decision | SafetyEvent)])
@@ -563,7 +542,7 @@ def test_the_command_says_what_is_proven(tmp_path: Path, capsys: pytest.CaptureF
     log = saved(tmp_path / "log.mcap", data if of_recorder is None else of_recorder)
     if of_recorder is not None:
         saved(signed(log, RECORDER), data)
-    given_keys = ["--authority", str(authority_file(tmp_path, fleet))] if fleet else []
+    given_keys = ["--authority", f"{write_authority(tmp_path, fleet)}/authority.json"] if fleet else []
     assert review("verify", str(log), *given_keys) == code
     said = capsys.readouterr().out
     assert not words or words[0] in said.partition("\n")[0]

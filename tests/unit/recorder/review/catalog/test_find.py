@@ -24,31 +24,10 @@ ROW = CatalogRow(
 )
 """A log of a minute in which nothing happened."""
 
-STOP = LoggedMoment(
-    time_ns=WALL_NS,
-    last_ns=WALL_NS,
-    robot="cruiser-1",
-    kind="stop",
-    severity="warning",
-    reason="front_bumper",
-    operator="",
-    holder="alice",
-    count=1,
-    is_stop=True,
-    text="stopping: the front bumper was hit",
-)
-
-DRIVE = LoggedDrive(
-    start_ns=WALL_NS,
-    end_ns=WALL_NS + 10 * SECOND,
-    robot="cruiser-1",
-    distance_m=12.5,
-    missing_s=0.0,
-    stops=1,
-    ends=0,
-    severity="warning",
-    text="stopping: the front bumper was hit",
-)
+TEXT = "stopping: the front bumper was hit"
+BUMPER = ("stop", "warning", "front_bumper")
+STOP = LoggedMoment(WALL_NS, WALL_NS, "cruiser-1", *BUMPER, "", "alice", count=1, is_stop=True, text=TEXT)
+DRIVE = LoggedDrive(WALL_NS, WALL_NS + 10 * SECOND, "cruiser-1", 12.5, 0.0, 1, 0, "warning", TEXT)
 
 
 def row(**changes: Any) -> CatalogRow:  # noqa: ANN401 - any field of a row

@@ -22,21 +22,8 @@ def made(path: Path, data: bytes) -> CatalogRow:
 def test_an_incident_is_a_moment(tmp_path: Path, at_ns: str, time_ns: int) -> None:
     kept = {"at_ns": at_ns, "because": "it swerved", "file": "b.incident.mcap"}
     row = made(tmp_path / "a.mcap", own_log([gears(0, 2, 5)], metadata=[(INCIDENT_NAME, kept)]))
-    assert row.moments == [
-        LoggedMoment(
-            time_ns=time_ns,
-            last_ns=time_ns,
-            robot="cruiser-1",
-            kind=INCIDENT,
-            severity="warning",
-            reason="none",
-            operator="",
-            holder="",
-            count=1,
-            is_stop=False,
-            text="it swerved",
-        )
-    ]
+    about = ("cruiser-1", INCIDENT, "warning", "none", "", "")
+    assert row.moments == [LoggedMoment(time_ns, time_ns, *about, count=1, is_stop=False, text="it swerved")]
 
 
 @pytest.mark.parametrize("at_ns", ["", "soon", "-5", "1.5", "٣", "9" * 40])

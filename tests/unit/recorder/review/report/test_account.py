@@ -17,14 +17,13 @@ from recorder.review.report.account import (
     MOST,
     OTHERS,
     REFUSALS_MAX,
-    REMOTE_CONTROL,
     Account,
     Versions,
 )
 from recorder.review.report.findings import InForce, RobotReport, RobotSummary
 from recorder.review.report.gather import read_report
 from schemas.decisions import ArbiterState, Severity
-from schemas.messages import GatewayInfo, Message, Mode, Variant
+from schemas.messages import GatewayInfo, Message, Variant
 from schemas.recording import RecorderEvent, RecorderEventKind
 from tests.support.drives import drive_messages, drives_over, restart, write_messages
 from tests.support.logs import Log
@@ -70,16 +69,6 @@ def summed_up(
 
 def summary_of(*messages: Message) -> RobotSummary:
     return summed_up(*messages).summary
-
-
-def test_who_drives_is_told_by_mode_and_lease() -> None:
-    messages: list[Message] = [state(0)]
-    for number in range(1, 61):
-        engaged = ArbiterState.ENGAGED if number <= 20 else ArbiterState.STANDBY
-        mode = Mode.REMOTE if number > 40 else Mode.AUTO
-        messages += [arbiter(number, state=engaged), state(number, mode=mode)]
-    seconds = {driver.name: driver.seconds for driver in summary_of(*messages).drivers}
-    assert seconds == {"operator-1": pytest.approx(1.0), REMOTE_CONTROL: pytest.approx(1.0)}
 
 
 def test_what_was_asked_for_is_drawn_while_it_holds() -> None:

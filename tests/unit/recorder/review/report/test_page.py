@@ -24,7 +24,6 @@ from recorder.review.entries import EntryKind
 from recorder.review.report.findings import (
     LINES,
     PLACES_MAX,
-    Drawn,
     DrivenPath,
     Point,
     Report,
@@ -155,10 +154,6 @@ def robot_of(tmp_path: Path, *more: object) -> RobotReport:
     return report_of(write_messages(tmp_path / "a.mcap", messages)).robots[0]  # type: ignore[arg-type]
 
 
-def with_charts(robot: RobotReport, drawn: Drawn) -> dict[str, Any]:
-    return figures(robot.summary, drawn)
-
-
 def line_of(found: dict[str, Any], key: str) -> list[tuple[int, float | None]]:
     steps, values = found["lines"][LINES.index(key)]
     return list(zip((time_ms - found["from_ms"] for time_ms in accumulate(steps)), values, strict=True))
@@ -168,7 +163,7 @@ def test_a_line_has_the_values_of_its_time_and_breaks_off(tmp_path: Path) -> Non
     robot = robot_of(tmp_path)
     begin = robot.summary.start_ns
     points = [(begin, 1.0), (begin + 20 * MS, 1.00049), None, (begin + 900 * MS, 2.0)]
-    found = with_charts(robot, msgspec.structs.replace(robot.drawn[0], lines={"speed_mps": points}))
+    found = figures(robot.summary, msgspec.structs.replace(robot.drawn[0], lines={"speed_mps": points}))
     assert line_of(found, "speed_mps") == [(0, 1.0), (20, 1.0), (21, None), (900, 2.0)]
     assert line_of(found, "angle_deg") == []
     measured = line_of(drawn_of(robot), "speed_mps")
