@@ -24,10 +24,11 @@ from gateway.ros import commands
 from gateway.ros.commands import CommandReader, RosCommand
 from gateway.telemetry.samples import Received
 from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
-from schemas.command_line import CommandError
+from schemas.command_line import CommandError, short
 from schemas.decisions import SafetyState
 from schemas.ros import face, types, wire
 from schemas.ros.face import OK, STALE, WARN, RosFace, stamp, status
+from schemas.ros.wire import EntityKind
 from schemas.settings import Settings
 
 log = logging.getLogger(__name__)
@@ -37,6 +38,7 @@ LOOP_S: Final = 0.01
 TICK_S: Final = 0.2
 SILENT_S: Final = 3.0  # a robot whose state is older is stale in the diagnostics
 ROBOTS_MAX: Final = 256
+STOPS_WAITING: Final = 4  # calls of stop that may wait for the one under way
 SERVICES: Final = ("engage", "disengage", "park", "unpark", "stop", "reset")
 QUIET: Final = frozenset({"ackermann_output"})  # in bags alone: the graph has the commands themselves
 
@@ -79,11 +81,15 @@ class RobotBridge:
         self._reader = CommandReader()
         self._robot: Robot | None = None
         self._lease: RelayLease | None = None
+        self._doing: list[str] = []
         self._requests = ThreadPoolExecutor(1, f"ros-{name}")
         self._stops = ThreadPoolExecutor(1, f"ros-stop-{name}")
+        self._publishers: list[Callable[[], list[str]]] = []
         if choice.drive:
             for topic, type_names in commands.TOPICS.items():
+                self._publishers.append(ros.watch(EntityKind.PUBLISHER, self._node, topic))
                 ros.subscribe(self._node, topic, type_names, self._command)
+            self._servers = ros.watch(EntityKind.SERVER, self._node, "engage")
             for service in SERVICES:
                 ros.serve(self._node, service, types.TRIGGER, partial(self._serve, service))
             self._requests.submit(self._connect_early)
@@ -99,8 +105,8 @@ class RobotBridge:
             if said.topic in self._topics:
                 self._topics[said.topic].publish(said.fields)
 
-    def tick(self, *, is_connected: bool) -> None:
-        """Say that the robot is silent, and let go of it where the graph is lost."""
+    def tick(self) -> None:
+        """Say that the robot is silent."""
         now_s = time.monotonic()
         silent_s = now_s - self._heard_s
         if silent_s > SILENT_S and now_s - self._told_s >= 1.0:
@@ -108,13 +114,14 @@ class RobotBridge:
             silent = status(STALE, f"{self.name}: safety", f"no state for {silent_s:.0f} s", self.name, {})
             fields = {"header": {"stamp": stamp(time.time_ns())}, "status": [silent, self._commands_status()]}
             self._topics["diagnostics"].publish(fields)
-        if not is_connected and self._lease is not None:
-            self._requests.submit(self._let_go, "the ROS 2 router is lost")
+
+    def let_go(self, why: str) -> None:
+        """Pass nothing on from now, stop the robot if it is engaged from here, and give the lease back."""
+        self._reader.end()
+        self._requests.submit(self._let_go, why)
 
     def close(self) -> None:
-        """Stop the robot if it is engaged from here, and leave."""
-        if self._lease is not None:
-            self._requests.submit(self._let_go, "cruiser ros ends")
+        """Leave, after ``let_go``."""
         self._requests.shutdown()
         self._stops.shutdown()
         if self._robot is not None:
@@ -132,13 +139,24 @@ class RobotBridge:
         if set_point is None or lease is None:
             return
         if self._reader.is_foreign:
-            publisher = self._reader.publisher
-            self._reader.end()
-            self._requests.submit(self._let_go, f"a second publisher sends drive commands ({publisher})")
-        else:
+            self.let_go(f"a second publisher sends drive commands ({self._reader.publisher})")
+        elif self._reader.passes(set_point):
             lease.relay(set_point)
 
     def _serve(self, service: str, request: RosRequest) -> None:
+        """Begin what a service asks for. Nothing waits, to be done later than it was asked for, but stops."""
+        if service in {"stop", "disengage"}:
+            self._reader.end()  # At once, whatever is under way.
+        if service == "stop":
+            is_busy = self._doing.count(service) > STOPS_WAITING
+        else:
+            others = {one for one in self._doing if one != "stop"}
+            is_busy = service in others or (bool(others) and service != "disengage")
+        if is_busy:
+            said = {"success": False, "message": f"busy: {self._doing[0]} is under way"}
+            request.answer(types.TRIGGER_RESPONSE, said)
+            return
+        self._doing.append(service)
         (self._stops if service == "stop" else self._requests).submit(self._answer, service, request)
 
     def _answer(self, service: str, request: RosRequest) -> None:
@@ -146,6 +164,11 @@ class RobotBridge:
             text, success = getattr(self, f"_{service}")() or "ok", True
         except (CommandError, ValueError) as error:
             text, success = str(error), False
+        except Exception as error:  # a caller waits for the answer
+            log.exception("%s: %s", self.name, service)
+            text, success = f"{service} failed: {error!a}", False
+        finally:
+            self._doing.remove(service)
         log.info("%s: %s: %s", self.name, service, text)
         request.answer(types.TRIGGER_RESPONSE, {"success": success, "message": text})
 
@@ -154,19 +177,26 @@ class RobotBridge:
     def _engage(self) -> str:
         if self._lease is not None and self._lease.is_engaged:
             raise ValueError(f"{self.name} is engaged from here already")
-        if why := self._reader.why_not_engage(self._publishers(), time.monotonic_ns()):
-            raise ValueError(why)
+        if others := self._servers():
+            raise ValueError(f"another node serves engage too ({short(', '.join(others))}): leave one")
         self._give_back()
+        if why := self._reader.begin(self._publishing(), time.monotonic_ns()):
+            raise ValueError(why)
+        try:
+            self._take_command()
+        except BaseException as error:
+            self._let_go(f"engage: {error}")
+            raise
+        return f"{self.name} is engaged; without commands it stops"
+
+    def _take_command(self) -> None:
         lease = self._connected().relay_lease()
         lease.__enter__()
         self._lease = lease
-        self._reader.begin()
-        try:
-            lease.engage(self._choice.speed_limit_mps)
-        except CommandError:
-            self._give_back()
-            raise
-        return f"{self.name} is engaged; without commands it stops"
+        lease.engage(self._choice.speed_limit_mps)
+        # All of that may have taken seconds.
+        if why := self._reader.confirm(self._publishing(), time.monotonic_ns()):
+            raise ValueError(why)
 
     def _disengage(self) -> str:
         try:
@@ -204,9 +234,10 @@ class RobotBridge:
 
     def _let_go(self, why: str) -> None:
         """Stop the robot, and give the lease back."""
-        log.warning("%s: %s: it is disengaged", self.name, why)
-        with suppress(CommandError, ValueError):
-            self._held().disengage(wait=False)
+        if (lease := self._lease) is not None:
+            log.warning("%s: %s: it is disengaged", self.name, why)
+            with suppress(CommandError, ValueError):
+                lease.disengage(wait=False)
         self._give_back()
 
     def _give_back(self) -> None:
@@ -230,9 +261,9 @@ class RobotBridge:
         with suppress(CommandError):
             self._connected()
 
-    def _publishers(self) -> list[str]:
-        topics = (f"{self._node.namespace}/{topic}".strip("/") for topic in commands.TOPICS)
-        return [node for topic in topics for node in self._ros.publishers(topic)]
+    def _publishing(self) -> list[str]:
+        """The nodes that publish drive commands."""
+        return [node for nodes in self._publishers for node in nodes()]
 
     def _commands_status(self) -> dict[str, object]:
         """The result of the graph's commands."""
@@ -241,7 +272,9 @@ class RobotBridge:
                 OK, f"{self.name}: ROS commands", "read only: 'cruiser ros --drive' takes commands", self.name, {}
             )
         note = self._reader.note
-        values = {"publishers": ", ".join(self._publishers()), "engaged_from_here": str(self._lease is not None)}
+        lease = self._lease
+        engaged = lease is not None and lease.is_engaged
+        values = {"publishers": short(", ".join(self._publishing())), "engaged_from_here": str(engaged)}
         return status(WARN if note else OK, f"{self.name}: ROS commands", note or "ok", self.name, values)
 
 
@@ -256,6 +289,7 @@ class Bridge:
         self._robots: dict[str, RobotBridge] = {}
         self._namespaces: dict[str, str] = {}
         self._was_connected = True
+        self._said: set[str] = set()
         for name in choice.robots:
             if "*" not in name:
                 self._add(name)
@@ -272,6 +306,8 @@ class Bridge:
 
     def close(self) -> None:
         for robot in self._robots.values():
+            robot.let_go("cruiser ros ends")
+        for robot in self._robots.values():
             robot.close()
 
     def _hear(self, received: Received) -> None:
@@ -285,21 +321,33 @@ class Bridge:
     def _add(self, name: str) -> RobotBridge | None:
         namespace = self._choice.namespace
         namespace = wire.namespace_of(name) if namespace is None else namespace
-        if self._namespaces.setdefault(namespace, name) != name or len(self._robots) >= ROBOTS_MAX:
+        if len(self._robots) >= ROBOTS_MAX:
+            self._say(f"{name} is left out: {ROBOTS_MAX} robots are the most")
+            return None
+        if (other := self._namespaces.setdefault(namespace, name)) != name:
+            self._say(f"{name} is left out: /{namespace} is {other}")
             return None
         log.info("%s is /%s", name, namespace)
         self._robots[name] = robot = RobotBridge(name, namespace, self._ros, self._choice, self._settings)
         return robot
 
+    def _say(self, what: str) -> None:
+        if what not in self._said and len(self._said) < ROBOTS_MAX:
+            self._said.add(what)
+            log.warning("%s", what)
+
     def _tick(self) -> None:
         is_connected = self._ros.connected()
+        is_lost = self._was_connected and not is_connected
         if is_connected is not self._was_connected:
             self._was_connected = is_connected
             log.warning(
-                "the ROS 2 router is %s", "back" if is_connected else "lost: robots that it drove are disengaged"
+                "the ROS 2 router is %s", "lost: robots that it drove are disengaged" if is_lost else "back"
             )
         for robot in self._robots.values():
-            robot.tick(is_connected=is_connected)
+            if is_lost:
+                robot.let_go("the ROS 2 router is lost")
+            robot.tick()
 
 
 def shared_namespaces(robots: Sequence[str]) -> list[str]:

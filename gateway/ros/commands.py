@@ -13,15 +13,19 @@ from typing import Any, Final
 import msgspec
 
 from gateway.client.link import SetPoint
+from schemas.command_line import short
 from schemas.ros import types
 from schemas.ros.cdr import CdrError, decode
 from schemas.ros.face import time_of
-from schemas.ros.wire import read_attachment, type_of
+from schemas.ros.wire import Attachment, read_attachment, type_of
 
 AGE_MAX_NS: Final = 300_000_000
 """A message is dropped if it waited longer here, or if its stamp is further from this computer's clock."""
 
 RECENT_NS: Final = 300_000_000  # commands arrive: the last one came within this time
+
+DRIFT: Final = 10
+"""One part in so many by which a publisher's clock may run off ours before its messages count as late."""
 
 TOPICS: Final = {
     "cmd_vel": (types.TWIST, types.TWIST_STAMPED),
@@ -54,7 +58,10 @@ class CommandReader:
     def __init__(self) -> None:
         self.note = ""
         self._gid = b""
+        self._sequence = 0
+        self._fastest: tuple[bytes, int, int] | None = None
         self._engaged_gid: bytes | None = None
+        self._is_confirmed = False
         self._last_ns = -RECENT_NS
         self._is_zero = True
 
@@ -79,14 +86,31 @@ class CommandReader:
         if attachment is None:
             self.note = "dropped: it has no attachment of rmw_zenoh, which names its publisher"
             return None
-        if wrong := _stamp_fault(message, wall_ns):
+        if wrong := _stamp_fault(message, wall_ns) or self._repeat_or_late(attachment, command.arrived_ns):
             self.note = wrong
             return None
         set_point, self.note = _set_point(type_name, message, angle_deg)
         if set_point is None:
             return None
-        self._gid, self._last_ns, self._is_zero = attachment.gid, now_ns, not set_point.speed_mps
+        self._gid, self._sequence = attachment.gid, attachment.sequence
+        self._last_ns, self._is_zero = now_ns, not set_point.speed_mps
         return set_point
+
+    def _repeat_or_late(self, attachment: Attachment, arrived_ns: int) -> str:
+        """A message that came before, or that waited in a queue while the router or this process hung."""
+        gid = attachment.gid
+        if gid == self._gid and attachment.sequence <= self._sequence and self.arrives(arrived_ns):
+            return f"dropped: message {attachment.sequence} of its publisher again"
+        if attachment.time_ns <= 0:
+            return ""
+        # The clocks need not agree: the fastest message of the same publisher is the measure.
+        offset_ns = least_ns = arrived_ns - attachment.time_ns
+        if self._fastest is not None and self._fastest[0] == gid:
+            _, before_ns, seen_ns = self._fastest
+            least_ns = min(offset_ns, before_ns + (arrived_ns - seen_ns) // DRIFT)
+        self._fastest = gid, least_ns, arrived_ns
+        late_ns = offset_ns - least_ns
+        return "" if late_ns <= AGE_MAX_NS else f"dropped: it was {late_ns / 1e9:.1f} s on its way"
 
     def why_not_engage(self, publishers: Collection[str], now_ns: int) -> str:
         """Why the robot may not be engaged for this topic's publisher now; empty if it may.
@@ -95,7 +119,8 @@ class CommandReader:
             publishers: the nodes that publish drive commands, by their tokens, each as often as it does.
         """
         if len(publishers) > 1:
-            return f"{len(publishers)} publishers send drive commands ({', '.join(sorted(publishers))}): leave one"
+            names = short(", ".join(sorted(publishers)))
+            return f"{len(publishers)} publishers send drive commands ({names}): leave one"
         if not self.arrives(now_ns):
             return "no drive command arrives: publish zero speed at 10 Hz or faster, then engage"
         if not self._is_zero:
@@ -109,12 +134,29 @@ class CommandReader:
         """Commands that are not zero arrive."""
         return self.arrives(now_ns) and not self._is_zero
 
-    def begin(self) -> None:
-        """The robot is being engaged: from now on commands of the present publisher alone count."""
-        self._engaged_gid = self._gid
+    def begin(self, publishers: Collection[str], now_ns: int) -> str:
+        """Begin to engage the robot for the present publisher. Returns why it may not be; empty if it may."""
+        gid = self._gid
+        why = self.why_not_engage(publishers, now_ns)
+        if not why:
+            self._is_confirmed, self._engaged_gid = False, gid
+        return why
+
+    def confirm(self, publishers: Collection[str], now_ns: int) -> str:
+        """Let all commands pass, since the robot is engaged now. Returns why they may not; empty if they may."""
+        if self._engaged_gid is None:
+            return "it was stopped meanwhile"
+        why = self.why_not_engage(publishers, now_ns)
+        self._is_confirmed = not why
+        return why
 
     def end(self) -> None:
+        """Let no command pass until the robot is engaged again."""
         self._engaged_gid = None
+
+    def passes(self, set_point: SetPoint) -> bool:
+        """While the robot is being engaged, only zero speed is passed on."""
+        return self._engaged_gid is not None and (self._is_confirmed or not set_point.speed_mps)
 
     @property
     def is_foreign(self) -> bool:

@@ -5,6 +5,7 @@ No Python of ours but appending to a queue runs on Zenoh's threads.
 
 from __future__ import annotations
 
+import logging
 import secrets
 import threading
 import time
@@ -27,32 +28,48 @@ from schemas.settings import Settings, ZenohSettings
 from schemas.subjects import BY_NAME
 from schemas.zenoh_session import join, open_session
 
-WAITING_MAX: Final = 4096  # arrivals that may wait; beyond it the oldest go
+log = logging.getLogger(__name__)
+
+WAITING_MAX: Final = 4096  # samples that may wait; beyond it the oldest go
+COMMANDS_WAITING: Final = 16  # the same of a topic's commands, of which the newest counts
+CALLS_WAITING: Final = 16  # of a service's calls
+BATCH: Final = 64  # arrivals of one source that are handed out before the other sources have their turn
 
 
 class Arrivals:
-    """A queue of arrivals from Zenoh's threads, for one thread."""
+    """Arrivals from Zenoh's threads, for one thread. A source that floods delays no other."""
 
     def __init__(self) -> None:
-        self._queue: deque[tuple[Callable[[Any, int], None], Any, int]] = deque(maxlen=WAITING_MAX)
+        self._sources: list[tuple[Callable[[Any, int], None], deque[tuple[Any, int]]]] = []
         self._event = threading.Event()
+        self._fault = ""
 
-    def to(self, take: Callable[[Any, int], None]) -> zenoh.handlers.Callback[Any]:
+    def to(self, take: Callable[[Any, int], None], waiting: int = WAITING_MAX) -> zenoh.handlers.Callback[Any]:
         """A handler of Zenoh's whose items ``take`` gets later, with the monotonic time of arrival in ns."""
+        queue: deque[tuple[Any, int]] = deque(maxlen=waiting)
+        self._sources.append((take, queue))
 
         def keep(item: object) -> None:
-            self._queue.append((take, item, time.monotonic_ns()))
+            queue.append((item, time.monotonic_ns()))
             self._event.set()
 
         return zenoh.handlers.Callback(keep, lambda: None)
 
     def handle(self, timeout_s: float) -> None:
-        """Wait for arrivals, and hand out those that are here."""
+        """Wait for arrivals, and hand out those that are here. One that cannot be handled is left out."""
         self._event.wait(timeout_s)
         self._event.clear()
-        for _ in range(len(self._queue)):
-            take, item, arrived_ns = self._queue.popleft()
-            take(item, arrived_ns)
+        # Handling one may add a source: that of a robot that appears.
+        for take, queue in list(self._sources):
+            for _ in range(min(len(queue), BATCH)):
+                try:
+                    take(*queue.popleft())
+                except Exception as error:  # no message may end a bridge that drives robots
+                    if (fault := ascii(error)) != self._fault:
+                        self._fault = fault
+                        log.exception("a message could not be handled")
+            if queue:
+                self._event.set()
 
 
 class RobotFeed(SessionOwner):
@@ -105,14 +122,11 @@ class RosRequest(msgspec.Struct, frozen=True):
 
     query: Any
     key: str
+    asked: Attachment
 
     def answer(self, type_name: str, fields: dict[str, Any]) -> None:
-        """Reply to it. A call without rmw_zenoh's attachment cannot be answered: no client of ROS makes such."""
-        given = self.query.attachment
-        asked = wire.read_attachment(given.to_bytes()) if given is not None else None
-        if asked is not None:
-            attachment = Attachment(asked.sequence, time.time_ns(), asked.gid).encode()
-            self.query.reply(self.key, encode(type_name, fields), attachment=attachment)
+        attachment = Attachment(self.asked.sequence, time.time_ns(), self.asked.gid).encode()
+        self.query.reply(self.key, encode(type_name, fields), attachment=attachment)
         self.query.drop()
 
 
@@ -128,11 +142,8 @@ class RosSession(SessionOwner):
         self._zid = str(session.info.zid())
         self._numbers = 0
         self._declared: list[Any] = []
-        self._publishers: dict[str, Endpoint] = {}
-        handler = arrivals.to(lambda sample, _: self._meet(sample))
-        # Chunks: root, domain, session, node, endpoint, kind, enclave, namespace, node, topic, type, hash, qos.
-        tokens = f"{wire.TOKENS}/{domain}/*/*/*/{EntityKind.PUBLISHER.value}/*/*/*/*/*/*/*"
-        self._declared.append(session.liveliness().declare_subscriber(tokens, handler, history=True))
+        self._met: dict[str, Endpoint] = {}
+        self._tokens = arrivals.to(lambda sample, _: self._meet(sample))
 
     @classmethod
     def open(cls, endpoint: str, arrivals: Arrivals, domain: int, *, hashes: bool) -> Self:
@@ -157,10 +168,19 @@ class RosSession(SessionOwner):
             )
         return cls(session, arrivals, domain, hashes=hashes)
 
-    def publishers(self, name: str) -> list[str]:
-        """The nodes that publish a topic, each as often as it does; ``name`` is without the first slash."""
-        found = [one for one in list(self._publishers.values()) if one.name == name]
-        return [f"/{one.namespace}/{one.node}".replace("//", "/") for one in found]
+    def watch(self, kind: EntityKind, node: Endpoint, topic: str) -> Callable[[], list[str]]:
+        """Watch others' endpoints of a topic or service. Returns what lists their nodes, one for each endpoint."""
+        name = f"{node.namespace}/{topic}".strip("/")
+        # Chunks: root, domain, session, node, endpoint, kind, enclave, namespace, node, topic, type, hash, qos.
+        tokens = f"{wire.TOKENS}/{self._domain}/*/*/*/{kind.value}/*/*/*/{wire.mangled(name)}/*/*/*"
+        self._declared.append(self._session.liveliness().declare_subscriber(tokens, self._tokens, history=True))
+
+        def nodes() -> list[str]:
+            found = [one for one in list(self._met.values()) if one.name == name]
+            found = [one for one in found if one.kind is kind and one.session != self._zid]
+            return [plain(f"/{one.namespace}/{one.node}".replace("//", "/")) for one in found]
+
+        return nodes
 
     def node(self, namespace: str, name: str) -> Endpoint:
         """Declare a node."""
@@ -189,7 +209,9 @@ class RosSession(SessionOwner):
     ) -> None:
         """Subscribe to a topic below the node's namespace, whatever the type of its publishers is."""
         name = f"{node.namespace}/{topic}".strip("/")
-        handler = self._arrivals.to(lambda sample, arrived_ns: take(received_of(sample), arrived_ns))
+        handler = self._arrivals.to(
+            lambda sample, arrived_ns: take(received_of(sample), arrived_ns), COMMANDS_WAITING
+        )
         self._declared.append(self._session.declare_subscriber(f"{self._domain}/{name}/*/*", handler))
         for type_name in type_names:
             self._endpoint(node, EntityKind.SUBSCRIPTION, name, type_name, wire.BEST_EFFORT)
@@ -198,7 +220,18 @@ class RosSession(SessionOwner):
         """Declare a service below the node's namespace."""
         name = f"{node.namespace}/{service}".strip("/")
         key = self._key(name, type_name)
-        handler = self._arrivals.to(lambda query, _: take(RosRequest(query, key)))
+
+        def called(query: zenoh.Query, _: int) -> None:
+            given = query.attachment
+            asked = wire.read_attachment(given.to_bytes()) if given is not None else None
+            if str(query.key_expr) != key or asked is None:
+                # A pattern asks every service at once: it is no call.
+                query.reply_err(b"no call of a ROS service: it needs the service's own key and an attachment")
+                query.drop()
+            else:
+                take(RosRequest(query, key, asked))
+
+        handler = self._arrivals.to(called, CALLS_WAITING)
         self._declared.append(self._session.declare_queryable(key, handler, complete=True))
         self._endpoint(node, EntityKind.SERVER, name, type_name, wire.RELIABLE)
 
@@ -227,6 +260,6 @@ class RosSession(SessionOwner):
     def _meet(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
         if sample.kind == zenoh.SampleKind.DELETE:
-            self._publishers.pop(key, None)
-        elif (endpoint := wire.read_token(key)) is not None and len(self._publishers) < WAITING_MAX:
-            self._publishers[key] = endpoint
+            self._met.pop(key, None)
+        elif (endpoint := wire.read_token(key)) is not None and len(self._met) < WAITING_MAX:
+            self._met[key] = endpoint

@@ -102,9 +102,9 @@ def type_of(key: str) -> str:
     *_, name, found = key.rsplit("/", 2)
     type_name = _BY_DDS_TYPE.get(name)
     if type_name is None:
-        raise ValueError(f"messages of the type {name!r} are not understood")
+        raise ValueError(f"messages of the type {name!a} are not understood")
     if found not in {NO_HASH, type_hash(type_name)}:
-        raise ValueError(f"{type_name} of another version: its hash is {found}")
+        raise ValueError(f"{type_name} of another version: its hash is {found!a}")
     return type_name
 
 
@@ -142,15 +142,16 @@ class Endpoint(msgspec.Struct, frozen=True):
             str(self.endpoint_id),
             self.kind.value,
             "%",  # the enclave
-            _mangled(self.namespace),
+            mangled(self.namespace),
             self.node,
         ]
         if self.kind is not EntityKind.NODE:
-            parts += [_mangled(self.name), self.type_name, self.type_hash, self.qos]
+            parts += [mangled(self.name), self.type_name, self.type_hash, self.qos]
         return "/".join(parts)
 
 
-def _mangled(name: str) -> str:
+def mangled(name: str) -> str:
+    """A name as a part of a token."""
     return f"/{name}".replace("/", "%")
 
 

@@ -113,26 +113,31 @@ class Graph:
 
     def call(self, service: str) -> tuple[bool, str]:
         """Call a Trigger service. Returns its answer, which must be to this call."""
-        self._calls += 1
+        (answer,) = self.call_all(service)
+        return answer
+
+    def call_all(self, service: str) -> list[tuple[bool, str]]:
+        """The answers of all that serve it."""
+        self._calls = calls = self._calls + 1
         gid = secrets.token_bytes(16)
-        attachment = struct.pack("<qq", self._calls, time.time_ns()) + b"\x10" + gid
-        replies = list(
-            self.session.get(
-                f"0{service}/{TRIGGER}",
-                payload=b"\0\1\0\0\0",
-                attachment=attachment,
-                target=zenoh.QueryTarget.ALL_COMPLETE,
-                timeout=20.0,
-            )
-        )
-        assert len(replies) == 1
-        reply = replies[0].ok
-        assert reply is not None
-        assert reply.attachment is not None
-        sequence, _, length, theirs = struct.unpack("<qqB16s", reply.attachment.to_bytes())
-        assert (sequence, length, theirs) == (self._calls, 16, gid)
-        answer: Any = STORE.deserialize_cdr(reply.payload.to_bytes(), "std_srvs/msg/Trigger_Response")
-        return answer.success, answer.message
+        attachment = struct.pack("<qq", calls, time.time_ns()) + b"\x10" + gid
+        answers: list[tuple[bool, str]] = []
+        for found in self.session.get(
+            f"0{service}/{TRIGGER}",
+            payload=b"\0\1\0\0\0",
+            attachment=attachment,
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=20.0,
+        ):
+            reply = found.ok
+            assert reply is not None
+            assert reply.attachment is not None
+            sequence, _, length, theirs = struct.unpack("<qqB16s", reply.attachment.to_bytes())
+            assert (sequence, length, theirs) == (calls, 16, gid)
+            answer: Any = STORE.deserialize_cdr(reply.payload.to_bytes(), "std_srvs/msg/Trigger_Response")
+            answers.append((answer.success, answer.message))
+        return answers
 
     @contextmanager
     def twists(self, topic: str, node: str = "planner") -> Iterator[list[float]]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import signal
+import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -149,6 +153,78 @@ def test_a_program_of_ros_drives_and_the_rules_hold() -> None:
             assert robot.wait_for(lambda state: state.stop_reason.value == "deadman", 10)
             robot.stop()
         assert not one.call("reset")[0], "somebody else's stop is not reset from the graph"
+
+
+def test_what_must_not_move_a_robot() -> None:
+    """Patterns, hangs, garbage, a second bridge and the end of the process."""
+    with scene("cruiser-1", "--drive") as one, Robot.connect("cruiser-1", "other", one.settings) as robot:
+        graph = one.graph
+        with graph.twists(f"{NAME}/cmd_vel") as target:
+            # A query of every key under the robot is no call of a service, with an attachment or without.
+            wait_until(lambda: one.call("engage")[0])
+            assert one.call("disengage")[0]
+            attachment = struct.pack("<qq", 1, 1) + b"\x10" + bytes(16)
+            for given in (None, attachment):
+                answers = list(graph.session.get("0/cruiser_1/**", attachment=given, timeout=5.0))
+                assert not [key for found in answers if found.ok and "Trigger" in (key := str(found.ok.key_expr))]
+            time.sleep(0.5)
+            state = robot.state().state
+            assert (state.lease_holder, list(state.latched), state.state.value) == ("", [], "standby")
+
+            def start() -> None:
+                target[0] = 0.0
+                wait_until(lambda: one.call("engage")[0])
+                assert one.call("unpark")[0]
+                target[0] = 0.4
+                wait_until(one.moves)
+
+            # The bridge hangs while commands go on: nothing that waited drives the robot later.
+            start()
+            one.bridge.process.send_signal(signal.SIGSTOP)
+            try:
+                assert robot.wait_for(lambda state: state.stop_reason.value == "deadman", 10)
+                robot.wait_for_rest()
+            finally:
+                one.bridge.process.send_signal(signal.SIGCONT)
+            wait_until(one.stands)
+            time.sleep(1.0)
+            assert not robot.state().state.engaged
+            assert one.stands()
+            # Garbage beside the commands neither ends the bridge nor stops the robot.
+            start()
+            for size in (0, 3, 100, 1_000_000):
+                for kind in ("geometry_msgs::msg::dds_::Twist_/\n", "x/y"):
+                    graph.session.put(f"0{NAME}/cmd_vel/{kind}", b"\xff" * size)
+            time.sleep(0.5)
+            assert one.moves()
+            # The process ends: the robot stops, and the lease is free at once.
+            assert one.bridge.stop() == 0
+            wait_until(lambda: not robot.state().state.lease_holder)
+            robot.wait_for_rest()
+            assert not [line for line in one.bridge.said if "Traceback" in line]
+
+
+def test_two_bridges_of_one_robot_engage_nothing() -> None:
+    """Each says why; and while a robot does not answer, no call waits to be done later."""
+    with scene("cruiser-1", "--drive") as one, one.graph.twists(f"{NAME}/cmd_vel"):
+        graph = one.graph
+        place = ("--connect", *one.settings.zenoh.connect, "--ros", one.router)
+        with Running("ros", "cruiser-1", "--drive", "--operator", "second", *place) as second:
+            second.wait_says("^ros: ")
+            wait_until(lambda: len(graph.call_all(f"{NAME}/engage")) == 2)
+            wait_until(
+                lambda: all("another node serves engage" in text for _, text in graph.call_all(f"{NAME}/engage"))
+            )
+            second.stop()
+        wait_until(lambda: one.call("engage")[0])
+        one.gateway.process.send_signal(signal.SIGSTOP)
+        try:
+            with ThreadPoolExecutor(1) as beside:
+                asked = beside.submit(one.call, "park")
+                wait_until(lambda: one.call("unpark")[1] == "busy: park is under way")
+                assert asked.result() == (False, "cruiser-1 did not answer park")
+        finally:
+            one.gateway.process.send_signal(signal.SIGCONT)
 
 
 def test_a_graph_that_is_lost_lets_the_robot_go() -> None:

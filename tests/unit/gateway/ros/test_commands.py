@@ -1,5 +1,6 @@
 """Which messages of a ROS graph may become drive commands: the rules as a table."""
 
+from itertools import count
 from math import inf, nan, radians
 from typing import Any
 
@@ -19,8 +20,13 @@ HELD_DEG = 7.0
 ONE, OTHER = b"\1" * 16, b"\2" * 16
 
 
-def command(type_name: str, fields: dict[str, Any], gid: bytes = ONE, arrived_ns: int = NOW_NS) -> RosCommand:
-    attachment = Attachment(1, WALL_NS, gid).encode()
+SEQUENCE = count(1)
+
+
+def command(
+    type_name: str, fields: dict[str, Any], gid: bytes = ONE, arrived_ns: int = NOW_NS, sent_ns: int = WALL_NS
+) -> RosCommand:
+    attachment = Attachment(next(SEQUENCE), sent_ns, gid).encode()
     return RosCommand(key_of(0, "cruiser_1/cmd_vel", type_name), encode(type_name, fields), attachment, arrived_ns)
 
 
@@ -79,28 +85,25 @@ def test_a_message_becomes_a_set_point_or_is_dropped(
     assert reader.arrives(NOW_NS) == (wanted is not None)
 
 
-ZERO, MOVING = command(types.TWIST, twist(0.0)), command(types.TWIST, twist(0.5))
-
-
 @pytest.mark.parametrize(
-    ("commands", "publishers", "later_ns", "says"),
+    ("speeds_mps", "publishers", "later_ns", "says"),
     [
-        ([ZERO], ["/planner"], 0, ""),
-        ([MOVING, ZERO], ["/planner"], 0, ""),
-        ([ZERO], [], 0, ""),  # its token may come after its messages
+        ([0.0], ["/planner"], 0, ""),
+        ([0.5, 0.0], ["/planner"], 0, ""),
+        ([0.0], [], 0, ""),  # its token may come after its messages
         ([], ["/planner"], 0, "no drive command arrives"),
-        ([ZERO], ["/planner"], AGE_MAX_NS + 1, "no drive command arrives"),
-        ([MOVING], ["/planner"], 0, "not zero"),
-        ([ZERO, MOVING], ["/planner"], 0, "not zero"),
-        ([ZERO], ["/planner", "/teleop"], 0, "2 publishers send drive commands (/planner, /teleop)"),
+        ([0.0], ["/planner"], AGE_MAX_NS + 1, "no drive command arrives"),
+        ([0.5], ["/planner"], 0, "not zero"),
+        ([0.0, 0.5], ["/planner"], 0, "not zero"),
+        ([0.0], ["/planner", "/teleop"], 0, "2 publishers send drive commands (/planner, /teleop)"),
     ],
 )
 def test_engage_wants_one_publisher_that_says_zero(
-    commands: list[RosCommand], publishers: list[str], later_ns: int, says: str
+    speeds_mps: list[float], publishers: list[str], later_ns: int, says: str
 ) -> None:
     reader = CommandReader()
-    for one in commands:
-        reader.read(one, NOW_NS, WALL_NS, HELD_DEG)
+    for speed_mps in speeds_mps:
+        reader.read(command(types.TWIST, twist(speed_mps)), NOW_NS, WALL_NS, HELD_DEG)
     why = reader.why_not_engage(publishers, NOW_NS + later_ns)
     assert says in why
     assert bool(why) == bool(says)
@@ -109,22 +112,86 @@ def test_engage_wants_one_publisher_that_says_zero(
 def test_one_publisher_an_engagement() -> None:
     """Another one is foreign until the robot is engaged again."""
     reader = CommandReader()
-    reader.read(ZERO, NOW_NS, WALL_NS, HELD_DEG)
-    reader.begin()
+    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    assert not reader.begin(["/planner"], NOW_NS)
     assert not reader.is_foreign
     reader.read(command(types.TWIST, twist(0.0), OTHER), NOW_NS, WALL_NS, HELD_DEG)
     assert reader.is_foreign
     assert reader.publisher == OTHER.hex()
     reader.end()
     assert not reader.is_foreign
-    reader.begin()
+    assert not reader.begin(["/teleop"], NOW_NS)
     assert not reader.is_foreign
+
+
+def test_what_passes_while_a_robot_is_engaged_and_after() -> None:
+    """Zero alone until it is confirmed; nothing after the end, however often it is confirmed."""
+    reader, zero, moving = CommandReader(), SetPoint(0.0), SetPoint(0.5)
+
+    def passing() -> tuple[bool, bool]:
+        return reader.passes(zero), reader.passes(moving)
+
+    assert passing() == (False, False)
+    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    assert not reader.begin([], NOW_NS)
+    assert passing() == (True, False)
+    # It takes seconds to engage, and the planner begins meanwhile.
+    reader.read(command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
+    assert "not zero" in reader.confirm([], NOW_NS)
+    assert passing() == (True, False)
+    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    assert not reader.confirm([], NOW_NS)
+    assert passing() == (True, True)
+    reader.end()
+    assert passing() == (False, False)
+    assert reader.confirm([], NOW_NS) == "it was stopped meanwhile"
+    assert passing() == (False, False)
+
+
+MS = 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("sent", "passed"),
+    [
+        # (sent, arrived) in ms, by clocks that differ
+        ([(0, 5000), (50, 5051), (100, 5099)], [True] * 3),
+        ([(0, 5000), (50, 5400), (100, 5400)], [True, False, True]),  # the second waited for 350 ms
+        # A hang of 2 s: what waited goes, what was sent at its end is taken.
+        ([(0, 5000), (100, 7100), (1700, 7100), (2100, 7101)], [True, False, True, True]),
+        # The clock is set back by a second: after some seconds the messages are taken again.
+        ([(0, 5000), (-900, 5100), (7000, 13000), (11000, 17000)], [True, False, True, True]),
+        ([(-WALL_NS // MS, 5000), (-WALL_NS // MS, 9000)], [True, True]),  # a publisher without a clock
+    ],
+)
+def test_a_message_that_waited_in_a_queue_is_dropped(sent: list[tuple[int, int]], passed: list[bool]) -> None:
+    """By the times of one publisher alone: its clock need not be ours."""
+    reader = CommandReader()
+    for (sent_ms, arrived_ms), is_passed in zip(sent, passed, strict=True):
+        given = command(
+            types.TWIST, twist(0.5), arrived_ns=arrived_ms * MS, sent_ns=max(0, WALL_NS + sent_ms * MS)
+        )
+        found = reader.read(given, arrived_ms * MS, WALL_NS, HELD_DEG)
+        assert (found is not None) is is_passed, (sent_ms, reader.note)
+        assert is_passed or "on its way" in reader.note
+
+
+def test_a_message_is_passed_on_once() -> None:
+    """A publisher that counts from one again is taken after a pause."""
+    reader = CommandReader()
+    again = command(types.TWIST, twist(0.5))
+    assert reader.read(again, NOW_NS, WALL_NS, HELD_DEG) is not None
+    assert reader.read(again, NOW_NS, WALL_NS, HELD_DEG) is None
+    assert "again" in reader.note
+    later_ns = NOW_NS + AGE_MAX_NS + 1
+    restarted = RosCommand(again.key, again.payload, again.attachment, later_ns)
+    assert reader.read(restarted, later_ns, WALL_NS, HELD_DEG) is not None
 
 
 def test_only_commands_that_move_keep_a_robot_from_being_reset() -> None:
     reader = CommandReader()
-    reader.read(MOVING, NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
     assert reader.moves(NOW_NS)
     assert not reader.moves(NOW_NS + AGE_MAX_NS + 1)
-    reader.read(ZERO, NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
     assert not reader.moves(NOW_NS)
