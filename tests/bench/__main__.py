@@ -31,6 +31,7 @@ from tests.bench import (
     recorder_rate,
     review_rate,
     review_rerun,
+    ros,
     signed_latency,
     start_cost,
 )
@@ -74,6 +75,7 @@ BENCHES: Final[dict[str, Callable[[argparse.Namespace], list[Row]]]] = {
     "start": lambda on: start_cost.rows(on.starts, on.rest_s),
     "odometry": lambda on: odometry_drift.rows(on.trip_s),
     "signed": lambda on: signed_latency.rows(on.turns, on.turn_drives),
+    "ros": lambda on: ros.rows(on.drives, on.seconds),
     "floods": lambda on: flood.rows(on.floods),
     "guard": lambda on: guard_latency.rows(on.kills),
     "desk": lambda on: desk.rows(on.presses, on.desk_kills, on.crowd_s),
