@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed-limit", type=_speed, metavar="M/S", help="lower speed limit while it is engaged from the graph"
     )
     parser.add_argument(
-        "--operator", type=operator_name, metavar="NAME", help="operator's name (default: login name)"
+        "--operator", type=operator_name, metavar="NAME", help="operator's name (default: ros, or the grant's)"
     )
     parser.add_argument("--seconds", type=seconds, metavar="N", help="duration (default: until Ctrl-C)")
     add_zenoh_arguments(parser)
@@ -82,7 +82,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         arguments.namespace,
         arguments.tf,
         arguments.drive,
-        arguments.operator or "",
+        # Not the login name: the stops of whoever started it are not its own to reset.
+        arguments.operator or ("" if settings.authority.mode == "signed" else "ros"),
         arguments.speed_limit,
     )
     arrivals = Arrivals()

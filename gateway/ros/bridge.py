@@ -26,7 +26,7 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
 from schemas.command_line import CommandError, short
 from schemas.decisions import SafetyState
-from schemas.ros import face, types, wire
+from schemas.ros import face, wire
 from schemas.ros.face import OK, STALE, WARN, RosFace, stamp, status
 from schemas.ros.wire import EntityKind
 from schemas.settings import Settings
@@ -38,6 +38,7 @@ LOOP_S: Final = 0.01
 TICK_S: Final = 0.2
 SILENT_S: Final = 3.0  # a robot whose state is older is stale in the diagnostics
 ROBOTS_MAX: Final = 256
+WARN_S: Final = 5.0  # the log has what is wrong with commands this often; the diagnostics have it each second
 STOPS_WAITING: Final = 4  # calls of stop that may wait for the one under way
 SERVICES: Final = ("engage", "disengage", "park", "unpark", "stop", "reset")
 QUIET: Final = frozenset({"ackermann_output"})  # in bags alone: the graph has the commands themselves
@@ -78,6 +79,7 @@ class RobotBridge:
         }
         self._state: SafetyState | None = None
         self._heard_s = self._told_s = time.monotonic()
+        self._warn_s = 0.0
         self._reader = CommandReader()
         self._robot: Robot | None = None
         self._lease: RelayLease | None = None
@@ -91,7 +93,7 @@ class RobotBridge:
                 ros.subscribe(self._node, topic, type_names, self._command)
             self._servers = ros.watch(EntityKind.SERVER, self._node, "engage")
             for service in SERVICES:
-                ros.serve(self._node, service, types.TRIGGER, partial(self._serve, service))
+                ros.serve(self._node, service, partial(self._serve, service))
             self._requests.submit(self._connect_early)
 
     def hear(self, message: object) -> None:
@@ -131,9 +133,9 @@ class RobotBridge:
         """A drive command of the graph: passed on now, or dropped."""
         angle_deg = self._state.output_angle_deg if self._state is not None else 0.0
         command = RosCommand(received.key, received.payload, received.attachment, arrived_ns)
-        before = self._reader.note
         set_point = self._reader.read(command, time.monotonic_ns(), time.time_ns(), angle_deg)
-        if self._reader.note and self._reader.note != before:
+        if self._reader.note and (now_s := time.monotonic()) >= self._warn_s:
+            self._warn_s = now_s + WARN_S
             log.warning("%s: a drive command of the graph: %s", self.name, self._reader.note)
         lease = self._lease
         if set_point is None or lease is None:
@@ -153,8 +155,7 @@ class RobotBridge:
             others = {one for one in self._doing if one != "stop"}
             is_busy = service in others or (bool(others) and service != "disengage")
         if is_busy:
-            said = {"success": False, "message": f"busy: {self._doing[0]} is under way"}
-            request.answer(types.TRIGGER_RESPONSE, said)
+            request.answer(success=False, text=f"busy: {self._doing[0]} is under way")
             return
         self._doing.append(service)
         (self._stops if service == "stop" else self._requests).submit(self._answer, service, request)
@@ -170,7 +171,7 @@ class RobotBridge:
         finally:
             self._doing.remove(service)
         log.info("%s: %s: %s", self.name, service, text)
-        request.answer(types.TRIGGER_RESPONSE, {"success": success, "message": text})
+        request.answer(success=success, text=text)
 
     # The services. Each returns a text, or raises what kept it from being done.
 

@@ -21,7 +21,7 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.client import SessionOwner, received_of
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode, plain
-from schemas.ros import wire
+from schemas.ros import types, wire
 from schemas.ros.cdr import encode, type_hash
 from schemas.ros.wire import Attachment, Endpoint, EntityKind
 from schemas.settings import Settings, ZenohSettings
@@ -124,9 +124,10 @@ class RosRequest(msgspec.Struct, frozen=True):
     key: str
     asked: Attachment
 
-    def answer(self, type_name: str, fields: dict[str, Any]) -> None:
+    def answer(self, *, success: bool, text: str) -> None:
         attachment = Attachment(self.asked.sequence, time.time_ns(), self.asked.gid).encode()
-        self.query.reply(self.key, encode(type_name, fields), attachment=attachment)
+        answer = encode(types.TRIGGER_RESPONSE, {"success": success, "message": text})
+        self.query.reply(self.key, answer, attachment=attachment)
         self.query.drop()
 
 
@@ -216,10 +217,10 @@ class RosSession(SessionOwner):
         for type_name in type_names:
             self._endpoint(node, EntityKind.SUBSCRIPTION, name, type_name, wire.BEST_EFFORT)
 
-    def serve(self, node: Endpoint, service: str, type_name: str, take: Callable[[RosRequest], None]) -> None:
-        """Declare a service below the node's namespace."""
+    def serve(self, node: Endpoint, service: str, take: Callable[[RosRequest], None]) -> None:
+        """Declare a Trigger service below the node's namespace."""
         name = f"{node.namespace}/{service}".strip("/")
-        key = self._key(name, type_name)
+        key = self._key(name, types.TRIGGER)
 
         def called(query: zenoh.Query, _: int) -> None:
             given = query.attachment
@@ -233,7 +234,7 @@ class RosSession(SessionOwner):
 
         handler = self._arrivals.to(called, CALLS_WAITING)
         self._declared.append(self._session.declare_queryable(key, handler, complete=True))
-        self._endpoint(node, EntityKind.SERVER, name, type_name, wire.RELIABLE)
+        self._endpoint(node, EntityKind.SERVER, name, types.TRIGGER, wire.RELIABLE)
 
     def _key(self, name: str, type_name: str) -> str:
         return wire.key_of(self._domain, name, type_name, hashes=self._hashes)

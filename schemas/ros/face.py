@@ -77,23 +77,23 @@ class RosFace:
         """The ROS messages for one of the gateway's; none if it is not one that ROS is told."""
         match message:
             case Odometry():
-                yield self._said("odom", message, _odometry(message))
-                yield self._said("tf", message, {"transforms": [_transform(message)]})
+                yield RosMessage("odom", message.time_ns, _odometry(message))
+                yield RosMessage("tf", message.time_ns, {"transforms": [_transform(message)]})
             case RobotState():
                 self._chassis = message
-                yield self._said("joint_states", message, self._joints(message))
+                yield RosMessage("joint_states", message.time_ns, self._joints(message))
             case SafetyState():
                 self._safety = message
                 stopped = Reason.REMOTE_STOP in message.latched
                 if stopped is not self._stopped:
                     self._stopped = stopped
-                    yield self._said("remote_stop", message, {"data": stopped})
+                    yield RosMessage("remote_stop", message.time_ns, {"data": stopped})
                 if message.engaged:
-                    yield self._said("ackermann_output", message, _output(message))
+                    yield RosMessage("ackermann_output", message.time_ns, _output(message))
             case GatewayHealth():
-                yield self._said(
+                yield RosMessage(
                     "diagnostics",
-                    message,
+                    message.time_ns,
                     {
                         "header": {"stamp": stamp(message.time_ns)},
                         "status": [*self.arbiter_status(), _gateway(self._robot, message)],
@@ -127,11 +127,6 @@ class RosFace:
                 },
             )
         ]
-
-    def _said(
-        self, topic: str, message: Odometry | RobotState | SafetyState | GatewayHealth, fields: dict[str, Any]
-    ) -> RosMessage:
-        return RosMessage(topic, message.time_ns, fields)
 
     def _joints(self, state: RobotState) -> dict[str, Any]:
         """Wheels turn by their speeds since the start; a joint that is not known is left out."""

@@ -149,7 +149,8 @@ def test_a_program_of_ros_drives_and_the_rules_hold() -> None:
             wait_until(one.moves)
         # Nobody publishes any more: the robot's own deadman stops it.
         wait_until(one.stands)
-        with Robot.connect("cruiser-1", "other", one.settings) as robot:
+        # Under the login name, which is not the bridge's.
+        with Robot.connect("cruiser-1", settings=one.settings) as robot:
             assert robot.wait_for(lambda state: state.stop_reason.value == "deadman", 10)
             robot.stop()
         assert not one.call("reset")[0], "somebody else's stop is not reset from the graph"
