@@ -133,9 +133,12 @@ def shown_address(host: str, port: int) -> str:
 def add_certificate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that name a server's certificate; see ``certificate_files``."""
     parser.add_argument(
-        "--certificate", type=Path, metavar="FILE", help="its certificate chain, PEM: needed beyond this machine"
+        "--certificate",
+        type=Path,
+        metavar="FILE",
+        help="certificate chain, PEM; required if other machines connect",
     )
-    parser.add_argument("--certificate-key", type=Path, metavar="FILE", help="the certificate's private key, PEM")
+    parser.add_argument("--certificate-key", type=Path, metavar="FILE", help="private key of the certificate, PEM")
 
 
 def certificate_files(

@@ -278,9 +278,9 @@ _LEAVE: Final = frozenset({"q", "x", "ctrl-c"})
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         f"{parser.description or ''}\n\n"
-        "The robot moves while a key repeats: motion starts with the first repeat, half a second after the\n"
-        f"press, and zero speed is commanded {REPEAT_NS / 1e9:g} s after the last. Any other key, a closed\n"
-        "terminal and a lost link stop it. 'cruiser desk' steers more smoothly."
+        "The robot moves while a key repeats. Motion starts with the first repeat, half a second after the\n"
+        f"press. Zero speed is commanded {REPEAT_NS / 1e9:g} s after the last repeat. Any other key, a closed\n"
+        "terminal and a lost link stop the robot. 'cruiser desk' steers more smoothly."
     )
     add_robot_arguments(parser)
     parser.add_argument(

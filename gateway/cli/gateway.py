@@ -1,4 +1,4 @@
-"""``cruiser gateway``: put a chassis on Zenoh."""
+"""``cruiser gateway``: connect a chassis to Zenoh."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ EXAMPLE = """\
   cruiser lease cruiser-1                             who holds it
   cruiser lease cruiser-1 --hold                      acquire it and keep it until Ctrl-C; prints its number
   cruiser lease cruiser-1 --take --role supervisor    take it from its holder and keep it
-  cruiser lease cruiser-1 --hold --engage             keep the robot engaged too, standing, for
-  cruiser light cruiser-1 --headlamp --lease N        commands in another terminal"""
+  cruiser lease cruiser-1 --hold --engage             keep the robot engaged, at standstill
+  cruiser light cruiser-1 --headlamp --lease N        use this lease from another terminal"""
 
 POLL_S: Final = 0.05
 

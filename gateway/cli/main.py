@@ -39,7 +39,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     },
     "on a robot": {
         "setup": ("gateway.cli.setup", "set this computer up as a robot's gateway"),
-        "gateway": ("gateway.cli.gateway", "put a chassis on Zenoh"),
+        "gateway": ("gateway.cli.gateway", "connect a chassis to Zenoh"),
         "halt": ("gateway.cli.halt", "stop a robot that no gateway commands"),
         "doctor": ("gateway.cli.doctor", "find what is wrong with a robot, and the cure"),
         "decode": ("gateway.cli.decode", "decode candump lines to JSON lines"),

@@ -175,7 +175,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="address of the socketcand server; port 0: a free port (default 127.0.0.1:29536)",
     )
-    parser.add_argument("--variant", dest="sim.variant", choices=["coarse", "fine"], help="firmware variant")
+    parser.add_argument(
+        "--variant",
+        dest="sim.variant",
+        choices=["coarse", "fine"],
+        help="firmware variant, which sets the scale of speeds",
+    )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="TEXT", help="fault to cause; may be repeated"
     )

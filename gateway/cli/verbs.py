@@ -87,7 +87,11 @@ def _keep(lease: Lease, stopped: Callable[[], bool]) -> None:
 
 def _add_lamps(parser: argparse.ArgumentParser) -> None:
     for lamp in LAMPS:
-        parser.add_argument(f"--{lamp}", action="store_true", help=f"{lamp} on; off if left out")
+        parser.add_argument(
+            f"--{lamp}",
+            action="store_true",
+            help=f"{lamp}{'' if lamp == 'headlamp' else ' indicator'} on (default: off)",
+        )
 
 
 def _add_odometers(parser: argparse.ArgumentParser) -> None:

@@ -94,7 +94,7 @@ def _report(robot: Robot, arguments: argparse.Namespace, unmet: Refused | None) 
             why = f"{plain(unmet.detail)} ({unmet.reason.value}){cure}"
             sys.stdout.write(f"{robot.name}: UNVERIFIED: {why}\n")
         sys.stdout.write(f"{robot.name}: {state_line(state)}\n")
-        sys.stdout.write(f"  link: {link_line(state) or 'no commands'}\n")
+        sys.stdout.write(f"  link: {link_line(state) or 'no drive commands'}\n")
         sys.stdout.writelines(
             f"  {reason_line(reason, robot.name, state.blocked_by)}\n" for reason in state.blocked_by
         )

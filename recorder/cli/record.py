@@ -77,20 +77,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KEY",
         nargs="+",
         action="extend",
-        help="key expressions to record (all keys under the root)",
+        help="key expressions to record (default: all keys under the root)",
     )
-    parser.add_argument("-o", "--out", dest="recorder.directory", metavar="DIR", help="where the logs go (.)")
     parser.add_argument(
-        "--name", dest="recorder.name", metavar="NAME", help="the recorder's name (its grant's, else the host's)"
+        "-o", "--out", dest="recorder.directory", metavar="DIR", help="directory of the logs (default .)"
+    )
+    parser.add_argument(
+        "--name",
+        dest="recorder.name",
+        metavar="NAME",
+        help="the recorder's name (default: its grant's, else the host's)",
     )
     parser.add_argument(
         "--shard",
         dest="recorder.shard",
         metavar="I/N",
-        help="record the I-th part of the robots, by their names; N recorders record all (all of them)",
+        help="record the I-th part of the robots, by their names; N recorders record all (default: all)",
     )
     add_zenoh_arguments(parser)
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="stop after this long (at SIGINT or SIGTERM)")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration (default: until Ctrl-C or SIGTERM)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     _add_actions(parser)
     # After the actions, whose usage would begin with it. The default would not show that an action is optional.
@@ -99,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_actions(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(
-        dest="action", metavar="ACTION", title="of a recorder that is running, here or elsewhere"
+        dest="action", metavar="ACTION", title="requests to a running recorder, here or on another computer"
     )
     for action, about in remote.ABOUT.items():
         one = actions.add_parser(
@@ -318,7 +323,7 @@ def _report(recorded: Recorded, *, as_json: bool) -> int:
     dropped = recorded.lost_queue + recorded.lost_size
     notes = [
         f", in {recorded.files} files" if recorded.files > 1 else "",
-        f", {recorded.incidents} incidents" if recorded.incidents else "",
+        f", {recorded.incidents} incident{'s' if recorded.incidents > 1 else ''}" if recorded.incidents else "",
         f"; {dropped} samples dropped" if dropped else "",
         f"; {full} messages not recorded on the full disk" if full else "",
         f"; {recorded.lost_disk} messages lost by the disk" if recorded.lost_disk else "",

@@ -71,16 +71,29 @@ LOOK_S: Final = 0.3  # timeout of one query of the search
 
 def add_arguments(parser: argparse.ArgumentParser, action: str) -> None:
     parser.add_argument(
-        "recorder", nargs="?", type=recorder_name, default=None, metavar="RECORDER", help="its name (the only one)"
+        "recorder",
+        nargs="?",
+        type=recorder_name,
+        default=None,
+        metavar="RECORDER",
+        help="the recorder's name (default: the only one)",
     )
     if action == "mark":
-        parser.add_argument("-m", "--text", default="", metavar="TEXT", help="why; it goes into the log")
-        parser.add_argument("--robot", type=robot_name, default=None, help="whose log (every robot's)")
+        parser.add_argument(
+            "-m", "--text", default="", metavar="TEXT", help="the reason, which is written into the log"
+        )
+        parser.add_argument(
+            "--robot", type=robot_name, default=None, help="the robot whose log is marked (default: all)"
+        )
     parser.add_argument(
-        "--operator", type=operator_name, default=None, metavar="NAME", help="your operator name (the login name)"
+        "--operator",
+        type=operator_name,
+        default=None,
+        metavar="NAME",
+        help="operator's name (default: login name)",
     )
     parser.add_argument(
-        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"how long to wait ({TIMEOUT_S:g})"
+        "--timeout", type=seconds, default=TIMEOUT_S, metavar="S", help=f"time to wait (default {TIMEOUT_S:g})"
     )
     add_zenoh_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print each reply as a line of JSON")
@@ -141,13 +154,14 @@ def describe(name: str, action: str, reply: RecorderReply) -> str:
 
 def _health_lines(health: RecorderHealth) -> list[str]:
     dropped = ", ".join(f"{count} {reason}" for reason, count in health.dropped.items()) or "none"
+    running = f"running for {health.uptime_s:.0f} s, version {health.recorder_version}"
     disk = f"{_size(health.disk_used_bytes)} of logs, {_size(health.incident_bytes)} of them incidents"
     return [
-        f"  for {health.state_since_s:.0f} s, up {health.uptime_s:.0f} s, version {health.recorder_version}",
-        f"  {health.robots} robots, {health.keys} keys, {health.received_per_s:.0f} samples/s",
+        f"  in this state for {health.state_since_s:.0f} s, {running}",
+        f"  robots: {health.robots}, keys: {health.keys}, {health.received_per_s:.0f} samples/s",
         f"  {health.received} samples received, {health.missed} missed, {health.written} messages written",
         f"  dropped: {dropped}",
-        f"  {health.files} files open, {health.files_ended} ended, {health.incidents} incidents",
+        f"  files: {health.files} open, {health.files_ended} ended; incidents: {health.incidents}",
         f"  disk: {disk}, {_size(health.disk_free_bytes)} free",
         f"  processor: {health.cpu_percent:.0f} %",
     ]

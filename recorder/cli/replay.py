@@ -112,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="zenoh.listen",
         action="append",
         metavar="ENDPOINT",
-        help="Zenoh endpoint to listen on; the replay begins when somebody subscribes there, and joins no other "
+        help="Zenoh endpoint to listen on; the replay begins when a client subscribes there, and joins no other "
         "node without --connect",
     )
     parser.add_argument(

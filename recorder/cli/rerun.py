@@ -149,7 +149,8 @@ def _of_what_if(result: WhatIfResult) -> Iterator[str]:
     tried = ", ".join(f"{name} {tried} instead of {was}" for name, (was, tried) in result.settings.items())
     changes = sorted(result.changes, key=lambda one: one.first_ns)
     first = "".join(
-        f", from {in_words(one.first_ns)} on: {one.request} of {one.operator} {one.other}, not {one.recorded}"
+        f", from {in_words(one.first_ns)} on: {one.request} of {one.operator} {one.other}"
+        f"; recorded: {one.recorded}"
         for one in changes[:1]
     )
     count = sum(change.count for change in changes)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import Any, Final
 
 from schemas.settings import Settings
@@ -50,7 +52,8 @@ class _QuestionParser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         if not self._is_ready:
             module = import_module(self._module)
-            self.description = module.DESCRIPTION
+            # The formatter keeps the examples' lines, and would not break those of the description.
+            self.description = fill(module.DESCRIPTION, get_terminal_size().columns - 2)
             self.epilog = f"example:\n{module.EXAMPLE}"
             module.add_arguments(self)
             self._is_ready = True

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 EXAMPLE: Final = """\
-  cruiser upload -d logs --store file:///media/disk/logs --once
-  AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=... cruiser upload -d logs --store s3://fleet-logs/plant-1"""
+  cruiser upload --logs logs --store file:///media/disk/logs --once
+  AWS_ACCESS_KEY_ID=... AWS_SECRET_ACCESS_KEY=... cruiser upload --logs logs --store s3://fleet-logs/plant-1"""
 
 KINDS: Final = ("s3://", "gs://", "az://", "file:///")
 LOOK_S: Final = 10.0  # pause between two looks at the directory
@@ -36,7 +36,9 @@ POLL_S: Final = 0.1  # period of checks for a stop
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     # It runs as long as its machine, and logs the uploaded files.
     parser.set_defaults(log_level="info")
-    parser.add_argument("--logs", dest="recorder.directory", metavar="DIR", help="directory of the logs (.)")
+    parser.add_argument(
+        "--logs", dest="recorder.directory", metavar="DIR", help="directory of the logs (default .)"
+    )
     parser.add_argument(
         "--store", dest="upload.store", metavar="URL", help="s3://BUCKET/PLACE, gs://, az:// or file:///DIRECTORY"
     )
@@ -44,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate",
         dest="upload.rate_bytes_s",
         metavar="N",
-        help="mean rate on the link in bytes/s, in parts of 5 MiB (250000); 0: no limit",
+        help="mean rate on the link in bytes/s, in parts of 5 MiB (default 250000); 0: no limit",
     )
     parser.add_argument("--once", action="store_true", help="try each finished log once, then end")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

@@ -45,28 +45,29 @@ QUEUE_SAMPLES: Final = 1000  # samples of a subject that may wait; the oldest be
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "robots", nargs="*", type=robot_name, metavar="ROBOT", help="the robots; all of them if left out"
-    )
+    parser.add_argument("robots", nargs="*", type=robot_name, metavar="ROBOT", help="the robots (default: all)")
     parser.add_argument(
         "--listen",
         type=address,
         default=LISTEN,
         metavar="ADDRESS:PORT",
-        help=f"where viewers connect ({LISTEN[0]}:{LISTEN[1]}: this machine alone); port 0 is a free one",
+        help=f"address for viewers (default {LISTEN[0]}:{LISTEN[1]}: this machine only); port 0: a free port",
     )
     add_certificate_arguments(parser)
     parser.add_argument(
-        "--layouts", type=Path, metavar="DIRECTORY", help="write each robot's layouts there; made if it is missing"
+        "--layouts",
+        type=Path,
+        metavar="DIRECTORY",
+        help="write each robot's layouts to this directory; it is created if missing",
     )
     parser.add_argument(
         "--timeout",
         type=seconds,
         default=TIMEOUT_S,
         metavar="S",
-        help=f"how long to wait for the robots ({TIMEOUT_S:g})",
+        help=f"time to wait for the robots (default {TIMEOUT_S:g})",
     )
-    parser.add_argument("--seconds", type=seconds, metavar="N", help="end after this time")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="duration")
     add_zenoh_arguments(parser)
 
 

@@ -94,7 +94,7 @@ class CounterfactualVerdict(msgspec.Struct, frozen=True):
     def __str__(self) -> str:
         """Name it with its reason and the limits, for people."""
         text = self.verdict if self.reason == "none" else f"{self.verdict} ({self.reason})"
-        return f"{text}, bound by {' and '.join(self.bound_by)}" if self.bound_by else text
+        return f"{text}, limited by {' and '.join(self.bound_by)}" if self.bound_by else text
 
 
 class DecisionChange(msgspec.Struct):

@@ -24,7 +24,7 @@ def test_a_reply_reads_like_a_sentence() -> None:
     reply = RecorderReply(ok=False, detail="why", files=["a.mcap"], health=recorder_health(RecorderState.FULL))
     assert describe("depot", "mark", reply) == "depot: refused: why\n  a.mcap"
     text = describe("depot", "status", reply)
-    assert text.startswith("depot: refused: why\n  a.mcap\n  for 1 s, up 2 s, version 1\n")
+    assert text.startswith("depot: refused: why\n  a.mcap\n  in this state for 1 s, running for 2 s, version 1\n")
     assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
     assert "dropped: none" in text
 

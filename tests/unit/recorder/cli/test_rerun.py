@@ -38,7 +38,7 @@ def log(day: Day, tmp_path_factory: pytest.TempPathFactory) -> Path:
 run = partial(review, "rerun")
 OTHERWISE = (
     "with command.speed_limit_mps 0.4 instead of 1.5",
-    " on: drive of first accepted, bound by ",
+    " on: drive of first accepted, limited by ",
 )
 
 RECORDED = "recorded: 4.03 m in 5.10 s, at most 1.00 m/s, 1 stops"
