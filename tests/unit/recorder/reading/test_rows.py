@@ -5,19 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.mcap.framing import encode_index
-from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Row, Selection, decoded_rows, read_rows
 from schemas.messages import Drive, Gear
-from tests.support.logs import GEAR_TOPIC, flipped, foreign_log, gears, own_log, saved
+from tests.support.logs import GEAR_TOPIC, channel_of, flipped, foreign_log, gears, own_log, saved
 
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
-CHANNELS = [
-    LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(Gear)),
-    LogChannel(2, DRIVE_TOPIC, schema_name(Drive), descriptor_set(Drive)),
-]
+CHANNELS = [channel_of(Gear, 1, GEAR_TOPIC), channel_of(Drive, 2, DRIVE_TOPIC)]
 LOG = own_log([gears(0, 5, 100), [(2, 0, 200, b"")], gears(5, 5, 300), [(2, 1, 400, b"")]], CHANNELS)
 
 
@@ -34,15 +29,11 @@ def of_subject(name: str) -> Selection:
 
 
 def test_what_is_not_of_its_schema_is_a_fault_and_left_out(tmp_path: Path) -> None:
-    path = saved(
-        tmp_path / "log.mcap", own_log([[*gears(0, 1, 5), (1, 1, 6, b"\xff"), *gears(2, 1, 7)]], CHANNELS)
-    )
+    data = own_log([[*gears(0, 1, 5), (1, 1, 6, b"\xff"), *gears(2, 1, 7)]], CHANNELS)
+    path = saved(tmp_path / "log.mcap", data)
     faults = Faults()
     found = list(decoded_rows(find_logs([path], faults), Selection(), faults))
-    assert [(row.log_ns, type(message), message.sequence) for row, message in found] == [
-        (5, Gear, 0),
-        (7, Gear, 2),
-    ]
+    assert [(row.log_ns, type(one), one.sequence) for row, one in found] == [(5, Gear, 0), (7, Gear, 2)]
     assert [line.partition(":")[0] for line in faults.told] == [GEAR_TOPIC]
 
 
@@ -93,12 +84,7 @@ def indexed(*entries: int) -> bytes:
             for wrong in (1, 10**6, 2**63)
         ),
         # Of a lost channel nothing is known but that the message is there.
-        (
-            Selection(),
-            own_log([[*gears(0, 1, 5), (9, 0, 6, b"")]]),
-            [5],
-            "channel 9, which the file does not hold",
-        ),
+        (Selection(), own_log([[*gears(0, 1, 5), (9, 0, 6, b"")]]), [5], "9, which the file does not hold"),
         # Channels that are declared in chunks are known, as of the mcap package's writer, also without a summary.
         *((Selection(), foreign_log(use_chunking=chunks), [*range(10)], "") for chunks in (True, False)),
         *((Selection(), foreign_log(use_chunking=chunks)[:-30], [*range(10)], " ") for chunks in (True, False)),

@@ -2,21 +2,15 @@
 
 from typing import Any
 
-import msgspec
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
-from hypothesis import given
-from hypothesis import strategies as st
 from mcap import records
 
-from recorder.encoding.protobuf import LOGGED, compile_encoder, descriptor_set, message_class, schema_name
+from recorder.encoding.protobuf import descriptor_set, message_class, schema_name
 from recorder.reading.topics import UNREADABLE, Topic, foreign_decoder, topic_of, typed_decoder
 from schemas.decisions import Decision
 from schemas.messages import Gear
 from tests.support.logs import GEAR_TOPIC
-from tests.support.strategies import any_of
-
-KINDS = [kind for kind in LOGGED if schema_name(kind) != "cruiser.CanFrames"]
 
 
 def topic(
@@ -27,24 +21,6 @@ def topic(
         records.Channel(id=1, topic=name, message_encoding=encoding, metadata={}, schema_id=1),
         records.Schema(id=1, name=found[0], encoding=found[1], data=found[2]),
     )
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=schema_name)
-@given(data=st.data())
-def test_what_was_written_is_read_as_what_it_was(kind: type[msgspec.Struct], data: st.DataObject) -> None:
-    message = data.draw(any_of(kind))
-    again = typed_decoder(kind)(compile_encoder(kind)(message))
-    assert again == message
-    assert type(again) is kind
-
-
-@given(st.binary(max_size=60))
-def test_bytes_that_are_no_message_raise_what_is_told(noise: bytes) -> None:
-    for kind in KINDS:
-        try:
-            typed_decoder(kind)(noise)
-        except UNREADABLE:
-            continue
 
 
 def test_a_key_of_ours_tells_robot_and_subject() -> None:

@@ -42,6 +42,7 @@ from tests.support.logs import (
     GEAR_CHANNEL,
     GEAR_TOPIC,
     Log,
+    channel_of,
     foreign_log,
     gear_message,
     gears,
@@ -183,9 +184,7 @@ WHOLE = "the file states wrong first and last times"
         (records.Channel, setting(id=7), "messages of channel 1, which the file does not hold"),
     ],
 )
-def test_a_file_that_says_what_is_not_so_is_found_out(
-    kind: type, edit: Callable[[records.McapRecord], None], what: str
-) -> None:
+def test_a_false_record_is_found(kind: type, edit: Callable[[records.McapRecord], None], what: str) -> None:
     """All checksums are right."""
     found = check(first_of(kind, edit))
     assert what in said(found, About.FILE)
@@ -223,7 +222,7 @@ def test_a_log_time_that_goes_backwards_is_found_within_and_between_chunks() -> 
 
 
 def test_what_a_recorder_says_itself_may_have_waited() -> None:
-    own = LogChannel(2, "fleet/@recorder/bench/event/log", schema_name(Gear), descriptor_set(Gear))
+    own = channel_of(Gear, 2, "fleet/@recorder/bench/event/log")
     chunks = [
         [gear_message(0, 10), gear_message(0, 5, 2), gear_message(1, 20)],
         [gear_message(1, 6, 2), gear_message(2, 25), gear_message(3, 30)],
@@ -265,6 +264,9 @@ def test_files_of_others_are_sound(compression: CompressionType, use_chunking: b
     assert (found.messages, found.channels[0].is_read) == (10, True)
 
 
+OF_GEAR = ("cruiser.Gear", "protobuf", descriptor_set(Gear))
+
+
 @pytest.mark.parametrize(
     ("given", "what"),
     [
@@ -290,9 +292,8 @@ def test_losses_are_about_the_data_and_the_file_is_whole() -> None:
     log = Log()
     log.receive(*(sample_of(gear(number)) for number in (0, 3, 4)))
     frames = [(WALL_NS + number * 10 * MS, feedback(number)) for number in range(40) if number not in {5, 20, 21}]
-    log.receive(
-        sample_of(batch(0, frames[:10])), sample_of(batch(1, frames[10:20])), sample_of(batch(3, frames[20:]))
-    )
+    batches = batch(0, frames[:10]), batch(1, frames[10:20]), batch(3, frames[20:])
+    log.receive(*map(sample_of, batches))
     log.receive(FakeSample("k", "x", b""), FakeSample("k", "x", b""))
     found = check(log.close())
     assert {channel.topic: channel.missed for channel in found.channels} == {
@@ -418,9 +419,7 @@ def test_what_is_lost_is_counted_exactly_while_gaps_are_short(first: int, arrive
 
 @pytest.mark.parametrize("gap", [16, 17, 100, 999])
 @pytest.mark.parametrize("counter", range(COUNTER_SPAN))
-def test_across_a_long_gap_the_counter_decides_and_the_period_only_says_how_often_it_went_round(
-    gap: int, counter: int
-) -> None:
+def test_across_a_long_gap_the_counter_decides_within_the_elapsed_periods(gap: int, counter: int) -> None:
     """Of all numbers that fit the counter, the one nearest to the elapsed periods."""
     count = receive(gear_count(), (0, 0), (gap, counter))
     fitting = range((counter - 1) % COUNTER_SPAN, gap + COUNTER_SPAN, COUNTER_SPAN)
@@ -473,9 +472,7 @@ def test_frames_that_come_late_and_all_at_once_are_not_lost(first: int, stalls: 
 
 
 @given(STALLS, st.integers(20, 300), st.integers(0, 200))
-def test_lost_frames_are_counted_as_often_as_the_counter_went_round(
-    stalls: list[tuple[int, int]], start: int, length: int
-) -> None:
+def test_every_lost_frame_of_a_long_gap_counts(stalls: list[tuple[int, int]], start: int, length: int) -> None:
     sent = [number for number in range(1000) if not start <= number < start + length]
     apart = [(at, stall) for at, stall in stalls if at + stall < start or at >= start + length]
     count = receive(gear_count(), *arrivals(sent, apart))
@@ -584,15 +581,10 @@ WOVEN = [(number, number * SECOND) for pair in zip(range(40), range(40, 80), str
         ([*FIRST, *((number, (200 + number) * SECOND) for number in range(5, 50))], [(99, 5, None)]),
         ([*((number, (200 + number) * SECOND) for number in range(50)), *FIRST], [(99, 0, None)]),
         # A loss after a restart, although the sequence goes on where the old gateway's ended.
-        (
-            [*FIRST[:6], *((number, (100 + number) * SECOND) for number in (0, 1, 2, 3, 4, 6, 7))],
-            [(5, 0, None), (4, 6, 1)],
-        ),
+        ([*FIRST[:6], *((n, (100 + n) * SECOND) for n in (0, 1, 2, 3, 4, 6, 7))], [(5, 0, None), (4, 6, 1)]),
     ],
 )
-def test_a_gap_is_told_with_what_is_around_it(
-    messages: list[tuple[int, int]], gaps: list[tuple[int, int, int | None]]
-) -> None:
+def test_gaps_of_a_log(messages: list[tuple[int, int]], gaps: list[tuple[int, int, int | None]]) -> None:
     assert gaps_of(messages) == gaps
 
 
@@ -634,9 +626,7 @@ def test_what_was_left_out_is_found(parts: list[tuple[int, int]], shuffle: Rando
         [("a", {GEAR_TOPIC: ends(0, 100)}), ("b", {GEAR_TOPIC: ends(0, 10, start=1000)})],
     ],
 )
-def test_logs_that_overlap_or_are_of_another_gateway_lack_nothing(
-    logs: list[tuple[str, dict[str, ChannelEnds]]],
-) -> None:
+def test_overlapping_logs_lack_nothing(logs: list[tuple[str, dict[str, ChannelEnds]]]) -> None:
     assert between(logs) == []
 
 
@@ -654,9 +644,7 @@ def test_logs_that_overlap_or_are_of_another_gateway_lack_nothing(
         ((0, 1, 3, 2, 4), 2, 2),  # one that was overtaken
     ],
 )
-def test_what_follows_each_other_is_counted(
-    sequences: list[int], missed: int | None, first: int | None, parts: int
-) -> None:
+def test_missed_numbers(sequences: list[int], missed: int | None, first: int | None, parts: int) -> None:
     count = FollowingCount()
     for part in np.array_split(np.array(sequences), parts):
         if len(part):

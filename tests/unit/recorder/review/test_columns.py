@@ -180,10 +180,8 @@ def made(file: FileDescriptorProto, name: str) -> tuple[Any, bytes]:
 ALL, ALL_SCHEMA = made(foreign_file(), "other.All")
 
 
-def channel(
-    schema: bytes, name: str = "other.All", encoding: str = "protobuf", kind: str = "protobuf"
-) -> LogChannel:
-    return LogChannel(1, "t", name, schema, schema_encoding=kind, message_encoding=encoding)
+def channel(schema: bytes, name: str = "other.All", encoding: str = "protobuf", kind: str = "") -> LogChannel:
+    return LogChannel(1, "t", name, schema, schema_encoding=kind or encoding, message_encoding=encoding)
 
 
 def expected(message: Any) -> dict[str, Any]:  # noqa: ANN401 - protobuf makes the class at run time
@@ -287,9 +285,8 @@ def test_what_a_library_panics_at_cannot_be_read() -> None:
 
 def test_json_is_text() -> None:
     faults = Faults()
-    log = numbered_log(
-        [channel(b"{}", "s", "json", "jsonschema")], [[(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]]
-    )
+    messages = [(1, b'{"a": 1}'), (1, b"\xff"), (1, b"no json")]
+    log = numbered_log([channel(b"{}", "s", "json", "jsonschema")], [messages])
     rows = rows_of(batches_of(log, faults))
     assert [row["json"] for row in rows] == ['{"a": 1}', "no json"]
     assert [row["sequence"] for row in rows] == [0, 2]

@@ -6,8 +6,6 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType
 
-from recorder.encoding.protobuf import descriptor_set, schema_name
-from recorder.mcap.writer import LogChannel
 from recorder.reading.logs import Faults, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Selection
 from recorder.review.check import check_log
@@ -16,15 +14,12 @@ from recorder.review.info import CUT_NAME, read_info
 from schemas.command_line import CommandError
 from schemas.messages import Drive, Gear
 from tests.support.commands import review
-from tests.support.logs import GEAR_TOPIC, foreign_log, gears, own_log, saved, small_log
+from tests.support.logs import GEAR_TOPIC, channel_of, foreign_log, gears, own_log, saved, small_log
 from tests.support.reading import Read
 
 ALWAYS = (0, END_OF_TIME_NS)
 DRIVE_TOPIC = "fleet/cruiser-1/chassis/drive"
-TWO_CHANNELS = [
-    LogChannel(1, GEAR_TOPIC, schema_name(Gear), descriptor_set(Gear)),
-    LogChannel(2, DRIVE_TOPIC, schema_name(Drive), descriptor_set(Drive)),
-]
+TWO_CHANNELS = [channel_of(Gear, 1, GEAR_TOPIC), channel_of(Drive, 2, DRIVE_TOPIC)]
 LOG = own_log(
     [[*gears(5 * number, 5, 100 * number), (2, number, 100 * number + 41, b"")] for number in range(1, 5)],
     TWO_CHANNELS,
@@ -56,9 +51,7 @@ def part(
         ((150, 200), []),
     ],
 )
-def test_a_time_begins_with_its_first_and_ends_before_its_last(
-    tmp_path: Path, period: tuple[int, int], expected: list[int]
-) -> None:
+def test_a_period_excludes_its_end(tmp_path: Path, period: tuple[int, int], expected: list[int]) -> None:
     made, read = part(tmp_path, LOG, period, GEAR_TOPIC)
     assert [message[1] for message in read.messages] == list(expected)
     assert (made.messages, made.channels) == (len(list(expected)), 1)

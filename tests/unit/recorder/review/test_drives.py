@@ -50,15 +50,13 @@ def moved(speeds: Sequence[float | None], start_ns: int = 0) -> SpeedMeter:
             for odd in (None, nan, inf, -inf, 1e9)
         ),
         pytest.param(
-            [1.0, 2.9, 2.5, 2.1, 1.7, 1.3, 0.9, 0.5, 0.1, 0.0, 0.4, 0.8, 1.2], 0.71, 0.6, 1.2, id="till rest"
+            [1, 2.9, 2.5, 2.1, 1.7, 1.3, 0.9, 0.5, 0.1, 0, 0.4, 0.8, 1.2], 0.71, 0.6, 1.2, id="till rest"
         ),
         pytest.param([1.0, 1.0, 2.9, 1.0, 1.0], 0.295, 0.2, 1.0, id="one frame of a wrong scale"),
         pytest.param([1.0, 1.0, 2.9, 2.9, 2.9, 1.0], 0.535, 0.25, 1.0, id="some frames of a wrong scale"),
     ],
 )
-def test_distance_and_top_speed(
-    speeds: list[float | None], distance_m: float, moving_s: float, top_mps: float
-) -> None:
+def test_distance_and_top_speed(speeds: list[float], distance_m: float, moving_s: float, top_mps: float) -> None:
     motion = moved(speeds)
     assert motion.distance_m == pytest.approx(distance_m, abs=0.03)
     assert motion.moving_ns / 1e9 == pytest.approx(moving_s, abs=0.1)
@@ -97,9 +95,8 @@ def test_what_is_there_twice_adds_nothing() -> None:
 
 def entry(at_s: float, kind: EntryKind, **fields: Any) -> Entry:  # noqa: ANN401 - any field
     """Something that happened so long after the beginning."""
-    return entry_at(
-        kind, WALL_NS + round(at_s * SECOND), **{"source": EntrySource.LOG, "text": kind.value, **fields}
-    )
+    said = {"source": EntrySource.LOG, "text": kind.value, **fields}
+    return entry_at(kind, WALL_NS + round(at_s * SECOND), **said)
 
 
 def happened(*entries: Entry, found: Drives | None = None) -> Drives:
@@ -131,17 +128,14 @@ def test_a_drive_misses_what_was_not_recorded_in_it() -> None:
     assert found.motion.gaps == 2
 
 
-@pytest.mark.parametrize(
-    ("off_ns", "is_in"), [(-MARGIN_NS, True), (-MARGIN_NS - 1, False), (MARGIN_NS + 1, False)]
-)
-def test_what_happens_near_a_drive_belongs_to_it(off_ns: int, is_in: bool) -> None:  # noqa: FBT001 - a case
+@pytest.mark.parametrize(("off_ns", "is_in"), [(-MARGIN_NS, 1), (-MARGIN_NS - 1, 0), (MARGIN_NS + 1, 0)])
+def test_what_happens_near_a_drive_belongs_to_it(off_ns: int, is_in: int) -> None:
     found = Drives()
     found.command(WALL_NS, WALL_NS)
     happened(entry(off_ns / SECOND, EntryKind.STOP, reason=Reason.DEADMAN), found=found)
     (drive,) = found.drives()
-    assert (drive.stops, drive.worst, drive.severity.value) == (
-        (1, "stop", "warning") if is_in else (0, "", "info")
-    )
+    found_there = (drive.stops, drive.worst, drive.severity.value)
+    assert found_there == ((1, "stop", "warning") if is_in else (0, "", "info"))
 
 
 @pytest.mark.parametrize(

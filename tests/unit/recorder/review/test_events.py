@@ -60,10 +60,8 @@ def state(tick: int, sequence: int, ahead_ns: int = 0, **changes: Any) -> Safety
 
 def event(tick: int, sequence: int, kind: EventKind = EventKind.RESET, text: str = "") -> SafetyEvent:
     made = safety_event(kind, Severity.INFO, sequence)
-    words = text or str(sequence)
-    return msgspec.structs.replace(
-        made, time_ns=at(tick), tick=FIRST_TICK + tick, operator="operator-1", text=words
-    )
+    said = {"time_ns": at(tick), "tick": FIRST_TICK + tick, "operator": "operator-1"}
+    return msgspec.structs.replace(made, **said, text=text or str(sequence))
 
 
 def log_of(said: Iterable[tuple[int, Message]]) -> bytes:
@@ -78,10 +76,9 @@ def test_what_comes_later_than_the_window_says_so(path: Path, monkeypatch: pytes
     monkeypatch.setattr(events, "HELD_MAX", 10)
     said = [(100 + n, event(100 + n, 100 + n)) for n in range(50)]
     entries = told(path, log_of([*said, (200, event(5, 5))]))
-    assert sorted(one.text for one in entries if one.kind is EntryKind.RESET) == sorted(
-        [str(n) for n in range(100, 150)] + ["5"]
-    )
-    assert [one.text for one in entries if one.is_late and one.kind is EntryKind.RESET] == ["5"]
+    resets = [one for one in entries if one.kind is EntryKind.RESET]
+    assert sorted(int(one.text) for one in resets) == [5, *range(100, 150)]
+    assert [one.text for one in resets if one.is_late] == ["5"]
 
 
 @pytest.mark.parametrize("steps_recorder", [False, True])

@@ -219,6 +219,8 @@ def test_any_topic_is_one_file_name() -> None:
     assert "/" not in file_name("a\\/..\n")
 
 
+MAP, ZONED = pa.map_(pa.string(), pa.int64()), pa.timestamp("ns", "UTC")
+NOW_NS, NOW = 1_800_000_000_000_000_001, "2027-01-15T08:00:00.000000001"
 CASES: list[tuple[pa.Array, list[Any], list[Any]]] = [
     (pa.array([1, None]), [1, None], [1, None]),
     (pa.array([1.5]), [1.5], [1.5]),
@@ -227,11 +229,7 @@ CASES: list[tuple[pa.Array, list[Any], list[Any]]] = [
     (pa.array(["a", None]).dictionary_encode(), ["a", None], ["a", None]),
     (pa.array([b"\x00\xff", None, b""]), ["AP8=", None, ""], ["00ff", None, ""]),
     (pa.array([b"\x01"], pa.large_binary()), ["AQ=="], ["01"]),
-    (
-        pa.array([1_800_000_000_000_000_001, None], pa.timestamp("ns", "UTC")),
-        ["2027-01-15T08:00:00.000000001Z", None],
-        ["2027-01-15T08:00:00.000000001Z", None],
-    ),
+    (pa.array([NOW_NS, None], ZONED), [f"{NOW}Z", None], [f"{NOW}Z", None]),
     (pa.array([0], pa.timestamp("us")), ["1970-01-01T00:00:00.000000"], ["1970-01-01T00:00:00.000000"]),
     (pa.array([5], pa.date32()), ["1970-01-06"], ["1970-01-06"]),
     (pa.array([Decimal("1.50")]), ["1.50"], ["1.50"]),
@@ -239,17 +237,9 @@ CASES: list[tuple[pa.Array, list[Any], list[Any]]] = [
     (pa.array([[1, 2], None, []]), [[1, 2], None, []], ["[1,2]", None, "[]"]),
     (pa.array([[b"a"], [None]]), [["YQ=="], [None]], ['["YQ=="]', "[null]"]),
     (pa.array([{"a": 1, "b": [b"x"]}, None]), [{"a": 1, "b": ["eA=="]}, None], ['{"a":1,"b":["eA=="]}', None]),
-    (
-        pa.array([[("k", 1)], None, []], pa.map_(pa.string(), pa.int64())),
-        [{"k": 1}, None, {}],
-        ['{"k":1}', None, "{}"],
-    ),
+    (pa.array([[("k", 1)], None, []], MAP), [{"k": 1}, None, {}], ['{"k":1}', None, "{}"]),
     (pa.array([[(7, "x")]], pa.map_(pa.int32(), pa.string())), [{"7": "x"}], ['{"7":"x"}']),
-    (
-        pa.array([[1_800_000_000_000_000_001]], pa.list_(pa.timestamp("ns"))),
-        [["2027-01-15T08:00:00.000000001"]],
-        ['["2027-01-15T08:00:00.000000001"]'],
-    ),
+    (pa.array([[NOW_NS]], pa.list_(pa.timestamp("ns"))), [[NOW]], [f'["{NOW}"]']),
 ]
 
 

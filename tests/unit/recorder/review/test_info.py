@@ -7,12 +7,10 @@ import pytest
 from mcap.writer import CompressionType
 
 from recorder.cli.info import describe
-from recorder.encoding.protobuf import descriptor_set, schema_name
-from recorder.mcap.writer import LogChannel
 from recorder.record.incidents import INCIDENT_NAME
 from recorder.review.info import LogInfo, LogSourceInfo, read_info
 from schemas.messages import Gear
-from tests.support.logs import NO_INDEXES, foreign_log, gear_message, gears, own_log, small_log
+from tests.support.logs import NO_INDEXES, channel_of, foreign_log, gear_message, gears, own_log, small_log
 
 
 @pytest.fixture
@@ -54,9 +52,7 @@ def test_no_chunk_of_a_whole_log_is_read(path: Path) -> None:
 
 
 def test_each_channel_has_its_own_times(path: Path) -> None:
-    channels = [
-        LogChannel(number, f"t/{number}", schema_name(Gear), descriptor_set(Gear)) for number in (1, 2, 3, 4)
-    ]
+    channels = [channel_of(Gear, number, f"t/{number}") for number in (1, 2, 3, 4)]
     chunks = [
         [gear_message(0, 10), gear_message(1, 20, 2)],
         [gear_message(2, 30), gear_message(3, 31, 3)],
@@ -64,21 +60,14 @@ def test_each_channel_has_its_own_times(path: Path) -> None:
     ]
     found = info_of(path, own_log(chunks, channels))
     assert found.source is LogSourceInfo.SUMMARY
-    assert [(one.messages, one.first_ns, one.last_ns) for one in found.channels] == [
-        (3, 10, 40),
-        (2, 20, 60),
-        (1, 31, 31),
-        (0, None, None),
-    ]
+    spans = [(one.messages, one.first_ns, one.last_ns) for one in found.channels]
+    assert spans == [(3, 10, 40), (2, 20, 60), (1, 31, 31), (0, None, None)]
     rates = [pytest.approx(2 / 30e-9), pytest.approx(1 / 40e-9), None, None]
     assert [one.rate_hz for one in found.channels] == rates
     # In chunks that are not in order the first one of a channel is not the earliest.
     found = info_of(path, own_log([gears(0, 5, 500), gears(5, 5, 100)]))
-    assert (found.source, found.channels[0].first_ns, found.channels[0].last_ns) == (
-        LogSourceInfo.RECORDS,
-        100,
-        540,
-    )
+    [channel] = found.channels
+    assert (found.source, channel.first_ns, channel.last_ns) == (LogSourceInfo.RECORDS, 100, 540)
 
 
 @pytest.mark.parametrize("compression", CompressionType)
@@ -95,9 +84,7 @@ def test_each_channel_has_its_own_times(path: Path) -> None:
         {"enable_crcs": False},
     ],
 )
-def test_files_of_others_tell_the_same_however_they_end(
-    path: Path, compression: CompressionType, given: dict[str, Any]
-) -> None:
+def test_files_of_others_tell_the_same(path: Path, compression: CompressionType, given: dict[str, Any]) -> None:
     found = info_of(path, foreign_log(range(10, 20), compression=compression, **given))
     [channel] = found.channels
     assert (found.whole, found.messages, found.start_ns, found.end_ns) == (True, 10, 10, 19)

@@ -71,10 +71,7 @@ def ask(source: Source, sql: str) -> list[dict[str, Any]]:
         ("SELECT count(*) AS n FROM chassis_gear a JOIN chassis_gear b USING (robot, sequence)", [{"n": 35}]),
         ("SELECT DISTINCT bus, dlc FROM can_rx", [{"bus": "can0", "dlc": 8}]),
         ("SELECT count(*) AS n FROM can_rx WHERE log_time >= '2027-01-15'", [{"n": 3 * FRAMES}]),
-        (
-            "SELECT key FROM raw_sample WHERE robot IS NULL ORDER BY key LIMIT 1",
-            [{"key": "fleet/cruiser-1/strange"}],
-        ),
+        ("SELECT min(key) AS key FROM raw_sample WHERE robot IS NULL", [{"key": "fleet/cruiser-1/strange"}]),
         ("SELECT versions['cruiser-gateway'] AS v FROM gateway_info LIMIT 1", [{"v": "0.1.0"}]),
         ("SELECT kind FROM safety_event WHERE kind = 'latch' LIMIT 1", [{"kind": "latch"}]),
         ("SELECT count(*) AS n FROM safety_event_log WHERE robot = 'cruiser-1'", [{"n": 2}]),
@@ -147,12 +144,11 @@ def test_own_subjects_have_their_names_before_others(tmp_path: Path, make: Calla
         saved(tmp_path / f"{number}.mcap", numbered_log([other], [[(1, b'{"x": 1}')]]))
     logs = [tmp_path / "1.mcap", tmp_path / "2.mcap", saved(tmp_path / "3.mcap", drive_log(count=3))]
     source = make(logs)
-    assert ask(source, "SELECT robot, count(*) AS n FROM chassis_gear GROUP BY ALL") == [
+    assert ask(source, "SELECT robot, count(*) n FROM chassis_gear GROUP BY ALL") == [
         {"robot": "cruiser-1", "n": 3}
     ]
-    assert ask(source, "SELECT robot, topic, json FROM chassis_gear_2") == [
-        {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
-    ]
+    (other_gear,) = ask(source, "SELECT robot, topic, json FROM chassis_gear_2")
+    assert other_gear == {"robot": "a", "topic": "chassis/gear", "json": '{"x": 1}'}
     assert ask(source, "SELECT speed_mps FROM state") == []
     assert ask(source, "SELECT json FROM state_2") == [{"json": '{"x": 1}'}]
 
@@ -197,23 +193,18 @@ def test_a_statement_that_would_take_days_can_be_stopped(source: Source) -> None
         "SET custom_extension_repository = 'http://example.com'",
     ],
 )
-def test_a_statement_sees_neither_files_nor_network(
-    source: Source, tmp_path_factory: pytest.TempPathFactory, sql: str
-) -> None:
-    directory = tmp_path_factory.mktemp("home")
-    (directory / "secret.csv").write_text("secret\n1\n")
+def test_a_statement_sees_neither_files_nor_network(source: Source, tmp_path: Path, sql: str) -> None:
+    (tmp_path / "secret.csv").write_text("secret\n1\n")
     with pytest.raises(CommandError):
-        ask(source, sql.format(directory))
+        ask(source, sql.format(tmp_path))
     # EXPORT leaves an empty directory.
-    assert [path.name for path in directory.rglob("*") if path.is_file()] == ["secret.csv"]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["secret.csv"]
 
 
 # The command.
 
 
-def test_the_statement_of_the_page_takes_what_two_recorders_have_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_pages_statement_takes_doubles_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = (Path(__file__).parents[4] / "docs" / "review.md").read_text("utf-8")
     (once,) = re.findall(r"`(SELECT DISTINCT ON .*?)` takes", page)
     logs = [saved(tmp_path / name, drive_log()) for name in ("1.mcap", "2.mcap")]

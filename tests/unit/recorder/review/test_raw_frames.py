@@ -16,7 +16,7 @@ from schemas import codec
 from schemas.messages import CanFrames
 from tests.support.drives import FRAMES, drive_log
 from tests.support.logs import Log, saved
-from tests.support.messages import MS, WALL_NS, FakeSample, batch, can_frame, feedback
+from tests.support.messages import MS, WALL_NS, FakeSample, batch, can_frame, feedback, sample_of
 
 
 def read(paths: list[Path]) -> list[LoggedFrame]:
@@ -55,9 +55,7 @@ def test_a_frame_that_two_logs_hold_is_written_once(tmp_path: Path) -> None:
     one = saved(tmp_path / "1.mcap", drive_log())
     assert len(read([one, saved(tmp_path / "2.mcap", drive_log(first=0, count=5))])) == FRAMES
     log = Log()
-    log.receive(
-        FakeSample("fleet/cruiser-1/can/can0/rx", CAN_FRAMES, codec.encode(batch(0, [(WALL_NS, feedback(1))] * 2)))
-    )
+    log.receive(sample_of(batch(0, [(WALL_NS, feedback(1))] * 2)))
     twice = log.close()
     assert len(read([saved(tmp_path / "3.mcap", twice)])) == 2
     assert len(read([saved(tmp_path / "3.mcap", twice), saved(tmp_path / "4.mcap", twice)])) == 2
@@ -65,9 +63,8 @@ def test_a_frame_that_two_logs_hold_is_written_once(tmp_path: Path) -> None:
 
 def test_each_robot_has_a_file(tmp_path: Path) -> None:
     """All are ended, and what was out of order is counted."""
-    found = read(
-        [saved(tmp_path / "1.mcap", drive_log()), saved(tmp_path / "2.mcap", drive_log("cruiser-2", first=3))]
-    )
+    logs = {"1.mcap": drive_log(), "2.mcap": drive_log("cruiser-2", first=3)}
+    found = read([saved(tmp_path / name, data) for name, data in logs.items()])
     done = write_frames([*found, found[0]], tmp_path)
     paths = {robot: tmp_path / f"{robot}.log" for robot in ("cruiser-1", "cruiser-2")}
     assert {one.robot: (Path(one.path), one.frames, one.late) for one in done} == {

@@ -150,9 +150,8 @@ ENCODE_EVENT = compile_encoder(SafetyEvent)
 
 
 def event(number: int, operator: str = "", text: str = "") -> bytes:
-    return ENCODE_EVENT(
-        SafetyEvent(number, number, 7, Severity.INFO, EventKind.LEASE, Reason.NONE, operator=operator, text=text)
-    )
+    about = (Severity.INFO, EventKind.LEASE, Reason.NONE)
+    return ENCODE_EVENT(SafetyEvent(number, number, 7, *about, operator=operator, text=text))
 
 
 def key(number: int, subject: str = EVENT) -> Key:
@@ -225,9 +224,8 @@ def test_either_side_may_be_ahead(changed: list[bool], seed: int) -> None:
     # Each side alone is in its order.
     numbers = {letter: iter(range(len(changed))) for letter in "ra"}
     steps = [(side, next(numbers[side])) for side in sides]
-    comparison = compared(
-        " ".join(f"{side}{number}{'!' * (side == 'a' and changed[number])}" for side, number in steps)
-    )
+    words = (f"{side}{number}{'!' * (side == 'a' and changed[number])}" for side, number in steps)
+    comparison = compared(" ".join(words))
     assert comparison.end() == []
     assert (comparison.same[EVENT], comparison.difference_count) == (changed.count(False), changed.count(True))
     assert all(one.fields == {"operator": ("", "x")} for one in comparison.differences)
@@ -349,9 +347,7 @@ def said_journal(run: int, inputs: bytes, time_ns: int) -> FakeSample:
 SHUT_DOWN = msgspec.msgpack.encode([[Kind.SHUT_DOWN, 1]])
 
 
-def test_each_run_has_the_configuration_that_its_gateway_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_run_has_its_own_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = Log()
     begins = [(1, WALL_NS, 0.5), (2, WALL_NS + 5 * SECOND, 0.5), (3, WALL_NS + 9 * SECOND, 1.0)]
     for number, (run, time_ns, limit_mps) in enumerate(begins):
@@ -370,9 +366,7 @@ def test_each_run_has_the_configuration_that_its_gateway_told(
     assert seen == [0.5, 0.5, 1.0]
 
 
-@pytest.mark.parametrize(
-    "inputs", [b"\xc1", b"\x05", msgspec.msgpack.encode([[99, 1]]), msgspec.msgpack.encode([[Kind.TICK, 1]])]
-)
+@pytest.mark.parametrize("inputs", [b"\xc1", b"\x05", *map(msgspec.msgpack.encode, ([[99, 1]], [[Kind.TICK, 1]]))])
 def test_a_journal_that_makes_no_sense_ends_its_part(tmp_path: Path, inputs: bytes) -> None:
     log = Log()
     log.receive(sample_of(info()), said_journal(1, inputs, WALL_NS), said_journal(2, SHUT_DOWN, WALL_NS + SECOND))

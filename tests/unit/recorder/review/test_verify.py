@@ -173,6 +173,7 @@ def junk(run: SignedRun, ann: Party) -> None:
 
 
 PROOF = proof_for("engage")
+UNSIGNED_REQUEST = (Kind.REQUEST, 1, 1, "engage", "ann", b"\x80", 1, "")
 RUNS: dict[str, tuple[Story, set[ProofFault]]] = {
     "a verb that its operator signed": (engaged(), set()),
     **{
@@ -193,10 +194,7 @@ RUNS: dict[str, tuple[Story, set[ProofFault]]] = {
     "a grant that has not begun": (granted(not_before=NOW_S + DAY_S // 2), {NOT_GRANTED}),
     "a grant of a recorder": (granted(role=GrantRole.RECORDER), {NOT_GRANTED}),
     # The holder of the grant signed it so.
-    "a grant of somebody else": (
-        engaged(operator="carl", attachment=proof_for("engage", operator="carl")),
-        {NOT_GRANTED},
-    ),
+    "a grant of another": (engaged(operator="carl", attachment=proof_for("engage", "carl")), {NOT_GRANTED}),
     **{
         f"more than the grant allows: {said}": (allowed(**said), {NOT_GRANTED})
         for said in ({"serial": 2}, {"override": True}, {"speed_limit_mps": None}, {"speed_limit_mps": 2.0})
@@ -206,10 +204,7 @@ RUNS: dict[str, tuple[Story, set[ProofFault]]] = {
     # That a grant is not in the log is no proof that the verb was wrong.
     "a grant that is not there": (lambda run, _: run.ask("acquire", FLEET.operator("zoe")), {UNPROVEN}),
     # Of a request of open mode nobody can tell who sent it.
-    "a request of open mode": (
-        lambda run, _: run.waiting.append((Kind.REQUEST, 1, 1, "engage", "ann", b"\x80", 1, "")),
-        {UNPROVEN},
-    ),
+    "a request of open mode": (lambda run, _: run.waiting.append(UNSIGNED_REQUEST), {UNPROVEN}),
     "what is no journal": (junk, {CHANGED, WRONG}),
 }  # fmt: skip
 
@@ -277,10 +272,8 @@ def test_a_robot_that_the_summary_leaves_out_is_verified(tmp_path: Path) -> None
     faults = Faults()
     logs = find_logs([signed(saved(tmp_path / "log.mcap", bytes(data)), RECORDER)], faults)
     assert survey(logs, faults).robots == [ROBOT]
-    assert [(one.robot, one.is_proven) for one in verify_logs(logs, faults, [FLEET.trust])] == [
-        (ROBOT, True),
-        ("cruiser-2", False),
-    ]
+    proven = {one.robot: one.is_proven for one in verify_logs(logs, faults, [FLEET.trust])}
+    assert proven == {ROBOT: True, "cruiser-2": False}
     assert not faults
 
 
@@ -519,8 +512,7 @@ OTHER_KEYS = keys_fingerprint(AuthorityKeys(OTHER.authority.key.hex(), OTHER.sta
 OPENED = log_of([one for one in SAMPLES if isinstance(one, Journal | Decision | SafetyEvent)])
 OF_BOB = log_of(replaced(SAMPLES, of(SAMPLES, Decision)[3], operator="bob"))
 BY_BOTH = (
-    fingerprint(FLEET.authority.key),
-    fingerprint(OTHER.authority.key),
+    *(fingerprint(one.authority.key) for one in (FLEET, OTHER)),
     "no rotation",
     f"json: keys {OTHER_KEYS}\n",
 )

@@ -26,6 +26,8 @@ from tests.support.processes.recorder import CRUISER, counts, environment, reada
 from tests.support.reading import rows_of
 from tests.support.waiting import wait_until
 
+Link = tuple[Peer, str]
+
 
 def run(*words: str, endpoint: str = "", stopped: Callable[[], bool] = lambda: False) -> int:
     settings = Settings(zenoh=ZenohSettings(connect=[endpoint or free_endpoint()]))
@@ -59,9 +61,7 @@ class Heard:
         return self._samples
 
 
-def test_a_log_is_published_under_another_root(
-    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_is_published_under_another_root(peer: Link, log: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Each message in order, with its payload."""
     one, endpoint = peer
     heard = Heard(one)
@@ -186,9 +186,7 @@ def test_the_logs_own_root_can_be_forced_unless_a_gateway_is_there(
     assert str(heard.wait(len(drive_samples()))[1].key_expr) == "fleet/cruiser-1/chassis/gear"
 
 
-def test_a_gateway_that_turns_up_ends_the_replay(
-    peer: tuple[Peer, str], log: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_gateway_that_turns_up_ends_it(peer: Link, log: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 5."""
     one, endpoint = peer
     heard = Heard(one, "replay/**")

@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Page
 from schemas.command_line import ExitCode
 from tests.support.commands import review
 from tests.support.drives import drive_messages, drives_over, write_messages
+from tests.support.logs import saved
 from tests.support.messages import SECOND, WALL_NS
 from tests.support.nights import by_night
 from tests.support.rigs import scenarios
@@ -35,22 +36,17 @@ def page(running_browser: Browser) -> Iterator[Page]:
     assert said == []
 
 
+def report_of(log: Path) -> Path:
+    page = log.with_name("report.html")
+    assert review("report", log, "-o", page) == ExitCode.OK
+    return page
+
+
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The report of a drive of 10 s that goes round a bend, of two robots."""
-    folder = tmp_path_factory.mktemp("drive")
-    log = write_messages(folder / "a.mcap", drive_messages(201), robots=["r-1", "r-2"])
-    assert review("report", log, "-o", folder / "report.html") == ExitCode.OK
-    return folder / "report.html"
-
-
-@pytest.fixture(scope="module")
-def bumper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of a drive that a bumper ends, with all its frames."""
-    folder = tmp_path_factory.mktemp("bumper")
-    (folder / "a.mcap").write_bytes(recorded(scenarios.front_bumper))
-    assert review("report", folder / "a.mcap", "-o", folder / "report.html") == ExitCode.OK
-    return folder / "report.html"
+    log = tmp_path_factory.mktemp("drive") / "a.mcap"
+    return report_of(write_messages(log, drive_messages(201), robots=["r-1", "r-2"]))
 
 
 def opened(page: Page, file: Path, address: str = "") -> None:
@@ -182,8 +178,9 @@ def test_a_drive_plays_pauses_and_ends(page: Page, drive: Path) -> None:
     assert moment(page, 1) == stood
 
 
-def test_a_phone_needs_no_sideways_scrolling(page: Page, bumper: Path) -> None:
+def test_a_phone_needs_no_sideways_scrolling(page: Page, tmp_path: Path) -> None:
     """With a reason open; what is wide scrolls in its own box."""
+    bumper = report_of(saved(tmp_path / "a.mcap", recorded(scenarios.front_bumper)))
     page.set_viewport_size(PHONE)  # type: ignore[arg-type]
     opened(page, bumper, "#t=1700000002")
     page.locator("details.why summary").first.click()
@@ -193,18 +190,9 @@ def test_a_phone_needs_no_sideways_scrolling(page: Page, bumper: Path) -> None:
     assert box["width"] > PHONE["width"] / 3
 
 
-@pytest.fixture(scope="module")
-def weeks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of 36 short drives in 25 days."""
-    folder = tmp_path_factory.mktemp("weeks")
-    log = write_messages(folder / "a.mcap", drives_over(25, 36))
-    assert review("report", log, "-o", folder / "report.html") == ExitCode.OK
-    return folder / "report.html"
-
-
-def test_many_days_begin_with_an_overview(page: Page, weeks: Path) -> None:
+def test_many_days_begin_with_an_overview(page: Page, tmp_path: Path) -> None:
     """A drive is a row; its link leads to its section, which is drawn when it comes near, over its own seconds."""
-    opened(page, weeks)
+    opened(page, report_of(write_messages(tmp_path / "a.mcap", drives_over(25, 36))))
     rows = page.locator(".overview tbody tr")
     assert rows.count() == 36
     assert [one.inner_text() for one in page.locator("h2").all()[:2]] == ["cruiser-1", "Drives"]

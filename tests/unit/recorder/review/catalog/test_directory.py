@@ -199,6 +199,10 @@ def twice(path: Path) -> None:
     pq.write_table(pa.concat_tables([table, table]), path)
 
 
+def old(path: Path) -> None:
+    pq.write_table(pq.read_table(path).replace_schema_metadata({"format": FORMAT, "version": "0"}), path)
+
+
 def fifo(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
@@ -209,16 +213,8 @@ CATALOGS: dict[str, tuple[Callable[[Path], object], str]] = {
     "cut": (lambda path: path.write_bytes(path.read_bytes()[:-20]), "is damaged"),
     "empty": (lambda path: path.write_bytes(b""), "is damaged"),
     "no Parquet": (lambda path: path.write_bytes(b"file,bytes\n"), "is damaged"),
-    "somebody else's": (
-        lambda path: pq.write_table(SCHEMA.empty_table().replace_schema_metadata(None), path),
-        "none",
-    ),
-    "of another version": (
-        lambda path: pq.write_table(
-            pq.read_table(path).replace_schema_metadata({"format": FORMAT, "version": "0"}), path
-        ),
-        "is of another version",
-    ),
+    "somebody else's": (lambda path: pq.write_table(SCHEMA.remove_metadata().empty_table(), path), "none"),
+    "of another version": (old, "is of another version"),
     "a log twice": (twice, "names a log twice"),
     "no regular file": (fifo, "is a "),
 }

@@ -104,11 +104,8 @@ def test_each_condition_on_drives_and_logs(search: str, conditions: dict[str, An
 def test_a_drive_is_of_its_own_robot_s_operators_and_stops() -> None:
     mule = msgspec.structs.replace(DRIVE, robot="mule")
     drivers = [LoggedDriver("cruiser-1", "alice", 1.0, 2.0), LoggedDriver("mule", "bob", 1.0, 2.0)]
-    rows = [
-        row(
-            drives=[DRIVE, mule], moments=[moment(1), moment(2, robot="mule", reason="deadman")], operators=drivers
-        )
-    ]
+    moments = [moment(1), moment(2, robot="mule", reason="deadman")]
+    rows = [row(drives=[DRIVE, mule], moments=moments, operators=drivers)]
     for condition in ({"operator": "alice"}, {"reason": "front_bumper"}):
         assert [one["robot"] for one in found("drives", rows, **condition)] == ["cruiser-1"]
 

@@ -146,9 +146,8 @@ def test_a_name_in_two_logs_is_two_robots(tmp_path: Path) -> None:
         log.receive(sample_of(gateway_info(0, f"[robot]\nroot = '{root}'\n"), root=root))
         for message in drive_messages(20):
             log.receive(sample_of(message, root=root), wall_ns=message.time_ns)
-        said = RecorderEvent(
-            WALL_NS + 9, 0, Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "", f"of {root}"
-        )
+        full = (Severity.WARNING, RecorderEventKind.FULL, "cruiser-1", "", "")
+        said = RecorderEvent(WALL_NS + 9, 0, *full, f"of {root}")
         log.add_own(f"{root}/@recorder/vm/event", said, 0)
         paths.append(tmp_path / f"{root}.mcap")
         paths[-1].write_bytes(log.close())

@@ -118,30 +118,24 @@ def changed(report: Report, **changes: object) -> Report:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, f"1 drive, 10.0 m; 1 stop: {BUMPER}."),
-        ({"distance_m": 0.01, "stops": {}}, "1 drive, 0 m; no stops."),
-        ({"known_s": 0.0, "stops": {}}, "1 drive, distance not in the log; no stops."),
-        ({"gaps": 2, "gap_s": 8.31, "stops": {}}, "1 drive, at least 10.0 m (8.3 s not recorded); no stops."),
-        ({"stops": {DIED: 1}}, "1 drive, 10.0 m; 1 stop: the gateway died."),
-        (
-            {"stops": {}, "lost_samples": 3, "lost_frames": 1},
-            "1 drive, 10.0 m; no stops; 3 samples lost; 1 frame lost.",
-        ),
-        ({"stops": {}, "ends": {"disengaged": 2}}, "1 drive, 10.0 m; no stops; 2 normal ends."),
-        ({"stops": {"remote_stop": 1}}, "1 drive, 10.0 m; 1 stop by an operator: a remote stop was received."),
+        ({}, f"10.0 m; 1 stop: {BUMPER}."),
+        ({"distance_m": 0.01, "stops": {}}, "0 m; no stops."),
+        ({"known_s": 0.0, "stops": {}}, "distance not in the log; no stops."),
+        ({"gaps": 2, "gap_s": 8.31, "stops": {}}, "at least 10.0 m (8.3 s not recorded); no stops."),
+        ({"stops": {DIED: 1}}, "10.0 m; 1 stop: the gateway died."),
+        ({"stops": {}, "lost_samples": 3, "lost_frames": 1}, "10.0 m; no stops; 3 samples lost; 1 frame lost."),
+        ({"stops": {}, "ends": {"disengaged": 2}}, "10.0 m; no stops; 2 normal ends."),
+        ({"stops": {"remote_stop": 1}}, "10.0 m; 1 stop by an operator: a remote stop was received."),
         (
             {"stops": {"front_bumper": 2, "hand_transmitter": 1}},
-            f"1 drive, 10.0 m; 3 stops (2 faults, 1 by operators): 2 x {BUMPER}, 1 x {REMOTE}.",
+            f"10.0 m; 3 stops (2 faults, 1 by operators): 2 x {BUMPER}, 1 x {REMOTE}.",
         ),
-        (
-            {"stops": {}, "ends_commanding": True},
-            "1 drive, 10.0 m; no stops; recording ends while the robot is commanded.",
-        ),
+        ({"stops": {}, "ends_commanding": True}, "10.0 m; no stops; recording ends while the robot is commanded."),
     ],
 )
 def test_the_verdict(report: Report, changes: dict[str, Any], said: str) -> None:
     (robot,) = changed(report, **{"ends_commanding": False} | changes).robots
-    assert verdict(robot) == said
+    assert verdict(robot) == f"1 drive, {said}"
 
 
 def drawn_of(robot: RobotReport) -> dict[str, Any]:
@@ -285,9 +279,8 @@ def test_the_verdict_comes_first(tmp_path: Path) -> None:
 def test_errors_are_shown_however_many_events_there_are(hostile: Report) -> None:
     robot = hostile.robots[0]
     lease = msgspec.structs.replace(robot.moments[0], severity=Severity.INFO, kind=EntryKind.LEASE)
-    death = msgspec.structs.replace(
-        lease, severity=Severity.ERROR, kind=EntryKind.GATEWAY, time_ns=lease.time_ns + 1
-    )
+    gateway = {"severity": Severity.ERROR, "kind": EntryKind.GATEWAY, "time_ns": lease.time_ns + 1}
+    death = msgspec.structs.replace(lease, **gateway)
     moments = [lease] * (MOMENTS_SHOWN + 50) + [death]
     drawn = msgspec.structs.replace(robot.drawn[0], moments=moments)
     changed = msgspec.structs.replace(robot, drawn=[drawn], moments=moments, more_moments=2)
