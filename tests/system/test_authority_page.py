@@ -6,13 +6,7 @@ the CAN bus differ from the page. A command that asks for a passphrase has a ter
 
 from __future__ import annotations
 
-import os
-import pty
 import re
-import select
-import signal
-import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -21,11 +15,11 @@ import pytest
 
 from tests.support.fakes.peer import free_endpoint
 from tests.support.processes.installed import install
+from tests.support.processes.terminal import Terminal
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
 PAGE: Final = ROOT / "docs" / "authority.md"
-TIMEOUT_S: Final = 60.0
 
 # Commands that run to the end, and their first output.
 STAYS: Final = {
@@ -71,7 +65,7 @@ class Page:
         self.stick.mkdir()
         self._fingerprint = ""
         self._exports: dict[str, dict[str, str]] = {}
-        self._running: list[tuple[subprocess.Popen[str], Path]] = []
+        self._running: list[Terminal] = []
         self._chassis = free_endpoint().removeprefix("tcp/")
         self._router = free_endpoint().removeprefix("tcp/")
         self.start("robot", f"cruiser sim --listen {self._chassis}", " on 127")
@@ -82,27 +76,19 @@ class Page:
             home = str(self._home(machine))
             self._exports.setdefault(machine, {})[export[1]] = export[2].replace("~", home)
             return
-        code, shown = self._at_terminal(machine, command)
+        terminal = self._at_terminal(machine, command)
+        code, shown = terminal.wait(), terminal.shows
         assert code == 0, (machine, command, shown)
         assert "Traceback" not in shown, (machine, command, shown)
         assert re.search(SAYS.get(command, ""), shown), (machine, command, shown)
         self._fingerprint = (re.findall(r"authority ([0-9a-f-]{39})", shown) or [self._fingerprint])[-1]
 
-    def start(self, machine: str, command: str, says: str) -> subprocess.Popen[str]:
-        log = self.place / f"{len(self._running)}.log"
-        with log.open("w") as output:
-            process = subprocess.Popen(
-                ["/usr/bin/env", "bash", "-c", f"exec {self._here(command)}"],
-                cwd=self.stick,
-                env=self._environment(machine),
-                stdout=output,
-                stderr=output,
-                text=True,
-            )
-        self._running.append((process, log))
-        wait_until(lambda: bool(re.search(says, log.read_text())) or process.poll() is not None)
-        assert process.poll() is None, (machine, command, log.read_text())
-        return process
+    def start(self, machine: str, command: str, says: str) -> Terminal:
+        terminal = self._at_terminal(machine, f"exec {command}")
+        self._running.append(terminal)
+        wait_until(lambda: terminal.is_showing(says))
+        assert terminal.process.poll() is None, (machine, command, terminal.shows)
+        return terminal
 
     def repeat(self, machine: str, command: str, says: str) -> None:
         """Start a command that asks again and again, see that it works, and end it.
@@ -111,64 +97,25 @@ class Page:
         """
 
         def has_said() -> bool:
-            process = self.start(machine, command, "robot is connected|cruiser-1: ")
-            _, log = self._running[-1]
-            self.end(process)
-            return re.search(says, log.read_text()) is not None
+            terminal = self.start(machine, command, "robot is connected|cruiser-1: ")
+            assert terminal.end() == 0
+            return re.search(says, terminal.shows) is not None
 
         wait_until(has_said)
 
-    def end(self, process: subprocess.Popen[str]) -> None:
-        process.send_signal(signal.SIGINT)
-        assert process.wait(TIMEOUT_S) == 0
-
     def end_all(self) -> None:
-        for process, _ in reversed(self._running):
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                try:
-                    process.wait(TIMEOUT_S)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
+        for terminal in reversed(self._running):
+            if terminal.process.poll() is None:
+                terminal.kill()
 
-    def _at_terminal(self, machine: str, command: str) -> tuple[int, str]:
-        master, slave = pty.openpty()
-        process = subprocess.Popen(
-            ["/usr/bin/env", "bash", "-c", self._here(command)],
-            cwd=self.stick,
-            env=self._environment(machine),
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            start_new_session=True,
-        )
-        os.close(slave)
-        shown, answered, end_s = "", 0, time.monotonic() + TIMEOUT_S
-        try:
-            while time.monotonic() < end_s:
-                if not select.select([master], [], [], 0.1)[0]:
-                    continue
-                try:
-                    data = os.read(master, 65536)
-                except OSError:  # the last one has left the terminal
-                    break
-                shown += data.decode(errors="replace")
-                asked = len(re.findall(r"passphrase (?:for|of) [^\n]*: |once more: ", shown))
-                while answered < asked:
-                    os.write(master, b"correct horse\n")
-                    answered += 1
-            return process.wait(TIMEOUT_S), shown
-        finally:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-            os.close(master)
+    def _at_terminal(self, machine: str, command: str) -> Terminal:
+        words = ["/usr/bin/env", "bash", "-c", self._here(command)]
+        return Terminal(words, self.stick, self._environment(machine))
 
     def _here(self, command: str) -> str:
         command = command.replace("router.example:7447", self._router).replace("router.example", "127.0.0.1")
         command = command.replace("FINGERPRINT", self._fingerprint)
-        if command.startswith("cruiser gateway"):
+        if "cruiser gateway" in command:
             command += f" --interface socketcand --channel {self._chassis}"
         return command
 

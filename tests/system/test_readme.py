@@ -6,16 +6,12 @@ Chassis, gateway, recorder and demo are real processes. Only the ports differ fr
 from __future__ import annotations
 
 import os
-import pty
 import re
 import shlex
 import signal
-import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -26,13 +22,13 @@ from tests.support.fakes.peer import free_endpoint
 from tests.support.nights import by_night
 from tests.support.processes.installed import install
 from tests.support.processes.nobody import NOBODY, become_nobody
+from tests.support.processes.terminal import Terminal
 from tests.support.waiting import wait_until
 
 ROOT: Final = Path(__file__).parents[2]
 PAGES: Final = ("README.md", "docs/tour.md", "docs/messages.md", "docs/install.md#Without the package")
 """In the order in which somebody reads them; of the last one section."""
 
-TIMEOUT_S: Final = 400.0  # on a busy machine the demo begins again and again
 ATTEMPTS: Final = 3
 
 
@@ -162,36 +158,6 @@ SETTINGS = load_settings(None, os.environ, {})
 """
 
 
-class Terminal:
-    def __init__(self, words: list[str], home: Path, environment: dict[str, str]) -> None:
-        self._master, slave = pty.openpty()
-        self.process = subprocess.Popen(
-            words, cwd=home, env=environment, stdin=slave, stdout=slave, stderr=slave, start_new_session=True
-        )
-        os.close(slave)
-        self.shows = ""
-        self._thread = threading.Thread(target=self._read)
-        self._thread.start()
-
-    def wait(self) -> int:
-        try:
-            return self.process.wait(TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            # All of the terminal's: what a make has started too.
-            os.killpg(self.process.pid, signal.SIGTERM)
-            self.process.wait()
-            raise
-        finally:
-            self._thread.join()
-
-    def _read(self) -> None:
-        # Reading fails with EIO once nobody has the terminal any more.
-        with suppress(OSError):
-            while data := os.read(self._master, 65536):
-                self.shows += data.decode(errors="replace").replace("\r\n", "\n")
-        os.close(self._master)
-
-
 class Newcomer:
     """A user with an empty home and several terminals."""
 
@@ -237,15 +203,14 @@ class Newcomer:
     def start(self, name: str, text: str, what: Start) -> None:
         terminal = self._start(text)
         self._running[name] = (what, terminal)
-        wait_until(lambda: bool(re.search(what.says, terminal.shows)) or terminal.process.poll() is not None)
+        wait_until(lambda: terminal.is_showing(what.says))
         assert terminal.process.poll() is None, (name, terminal.shows)
         if not what.stays:
             self.end(name)
 
     def end(self, name: str) -> None:
         what, terminal = self._running.pop(name)
-        terminal.process.send_signal(signal.SIGINT)
-        assert terminal.wait() == what.code, (name, terminal.shows)
+        assert terminal.end() == what.code, (name, terminal.shows)
 
     def end_all(self) -> None:
         self._await("")
@@ -254,9 +219,7 @@ class Newcomer:
 
     def kill_all(self) -> None:
         for _, terminal in (*self._running.values(), *self._beside.values()):
-            with suppress(ProcessLookupError):
-                os.killpg(terminal.process.pid, signal.SIGTERM)
-            terminal.wait()
+            terminal.kill()
 
     def _succeed(self, name: str) -> None:
         what = COMMANDS.get(name)

@@ -7,33 +7,24 @@ import socket
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from gateway.authority.enrolment import TransportRole
-from gateway.cli import metrics as metrics_command
 from gateway.cli.metrics_server import MetricsServer
 from gateway.metrics import FleetMetrics
 from gateway.provisioning.key_files import expires_s, read_certificates
-from gateway.zenoh.client import open_router
 from schemas.command_line import CommandError
-from schemas.settings import Settings, ZenohSettings
-from schemas.zenoh_session import close_session
-from tests.support.commands import run_command
 from tests.support.fakes.peer import free_endpoint
-from tests.support.messages import HEALTH, recorder_health
+from tests.support.messages import HEALTH
 from tests.support.metrics import fleet, received
 from tests.support.processes.gateway import Running, chassis
 from tests.support.provisioning import ProvisionedFleet
-from tests.support.secured import Network
-from tests.support.waiting import StopWhen, wait_until
+from tests.support.waiting import wait_until
 
 UP = ("cruiser_up", "robot", "cruiser-1")
-RECORDER_UP = ("cruiser_recorder_up", "recorder", "depot")
 
 
 def scrape(address: str) -> dict[tuple[str, str, str], float]:
@@ -44,61 +35,6 @@ def scrape(address: str) -> dict[tuple[str, str, str], float]:
         for family in text_string_to_metric_families(text)
         for sample in family.samples
     }
-
-
-def shows(
-    capsys: pytest.CaptureFixture[str], settings: Settings, said: Callable[[], None]
-) -> dict[tuple[str, str, str], float]:
-    """Run the command in this process until robot and recorder are shown; return the values."""
-    where: list[str] = []
-    found: dict[tuple[str, str, str], float] = {}
-
-    def look() -> bool:
-        where.extend(word.rstrip(",") for word in capsys.readouterr().err.split() if word.startswith("http"))
-        found.update(scrape(where[0]))
-        return found.get(UP) == found.get(RECORDER_UP) == 1
-
-    words = ("--listen", "127.0.0.1:0")
-    assert run_command(metrics_command, *words, settings=settings, stopped=StopWhen(look, said)) == 0
-    with pytest.raises(urllib.error.URLError):
-        scrape(where[0])
-    return found
-
-
-@pytest.mark.parametrize("role", [TransportRole.VIEWER, TransportRole.RECORDER])
-def test_a_certificate_of_a_viewer_or_a_recorder_is_enough(
-    role: TransportRole, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    network = Network(tmp_path, free_endpoint().replace("tcp/", "tls/"))
-    router, _ = open_router(network.node(TransportRole.ROUTER, "127.0.0.1") / "router.json5", [])
-    sessions = [
-        network.session(TransportRole.ROBOT, "cruiser-1"),
-        network.session(TransportRole.RECORDER, "depot"),
-    ]
-    token = sessions[0].liveliness().declare_token("fleet/cruiser-1/gateway")
-    samples = [received(HEALTH), received(recorder_health())]
-
-    def speak() -> None:
-        for session, sample in zip(sessions, samples, strict=True):
-            session.put(sample.key, sample.payload, encoding=sample.encoding)
-
-    place = network.node(role, "watching")
-    try:
-        settings = Settings(zenoh=ZenohSettings(config=str(place / f"{role.value}.json5")))
-        found = shows(capsys, settings, speak)
-    finally:
-        token.undeclare()
-        for session in (*sessions, router):
-            close_session(session)
-    ends_s = certificate_end(place / f"{role.value}-tls.pem")
-    assert found["cruiser_exporter_certificate_ends_timestamp_seconds", "", ""] == ends_s
-    assert (
-        found["cruiser_gateway_connected", "robot", "cruiser-1"]
-        == found["cruiser_exporter_connected", "", ""]
-        == 1
-    )
-    assert found["cruiser_gateway_frames_total", "robot", "cruiser-1"] == HEALTH.frames
-    assert found["process_resident_memory_bytes", "", ""] > 0
 
 
 def test_a_robot_in_signed_mode_says_when_its_keys_end(tmp_path: Path) -> None:
