@@ -1,4 +1,4 @@
-"""The Python programs of docs/examples: those that drive against a robot on Zenoh, the notebook over a dataset."""
+"""Python programs of docs/examples and docs/commands.md against a robot; the notebook over a dataset."""
 
 import json
 import os
@@ -6,13 +6,17 @@ import re
 import signal
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
 
+from schemas.decisions import ArbiterState
 from tests.support.commands import review
 from tests.support.fakes.robot import FakeRobot
+from tests.support.processes.tcp_link import TcpLink
 from tests.support.rigs.recorded import RecordedRig
+from tests.support.waiting import wait_until
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "subscribe.py"}
@@ -23,10 +27,22 @@ SETTINGS = Settings(zenoh=ZenohSettings(connect=["{endpoint}"]))
 """
 
 
-def run(name: str, fake: FakeRobot) -> subprocess.CompletedProcess[str]:
-    program = (EXAMPLES / name).read_text("utf-8")
-    program = program.replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
-    words = [sys.executable, "-c", ELSEWHERE.format(endpoint=fake.listen) + program, fake.listen]
+DEFAULT = "tcp/127.0.0.1:7447"
+
+
+def program(name: str) -> str:
+    if name != "commands.md":
+        return (EXAMPLES / name).read_text("utf-8")
+    section = (
+        (EXAMPLES.parent / name).read_text("utf-8").partition("### A whole client\n")[2].partition("\n## ")[0]
+    )
+    return textwrap.dedent("\n".join(line for line in section.splitlines() if line.startswith("    ")))
+
+
+def run(name: str, endpoint: str) -> subprocess.CompletedProcess[str]:
+    text = program(name).replace('Robot.connect("cruiser-1")', 'Robot.connect("cruiser-1", settings=SETTINGS)')
+    text = ELSEWHERE.format(endpoint=endpoint) + text.replace(DEFAULT, endpoint)
+    words = [sys.executable, "-c", text, endpoint]
     return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -35,13 +51,18 @@ def test_every_python_example_is_run_here() -> None:
     assert {path.name for path in EXAMPLES.iterdir() if path.suffix in {".py", ".ipynb"}} == TESTED
 
 
-@pytest.mark.parametrize("name", ["commands_client.py", "drive.py"])
-def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
-    """At half a metre a second; the lease is free afterwards."""
+@pytest.mark.parametrize(
+    ("name", "one_way_s"), [("commands_client.py", 0.0), ("drive.py", 0.0), ("commands.md", 0.2)]
+)
+def test_a_client_drives_and_leaves_the_robot_to_others(name: str, one_way_s: float) -> None:
+    """At half a metre a second, also 200 ms away (row 'travel delay'); the lease is free afterwards."""
     with FakeRobot() as fake:
-        done = run(name, fake)
+        with TcpLink(fake.listen, lambda: one_way_s) as link:
+            done = run(name, link.endpoint)
         assert (done.returncode, done.stderr) == (0, "")
+        assert {one.requested_speed_mps for one in fake.accepted("drive")} <= {0.0, 0.5}
         assert max(one.output_speed_mps for one in fake.accepted("drive")) == 0.5
+        wait_until(lambda: fake.state is ArbiterState.STANDBY)
         assert fake.accepted("release")
 
 
@@ -49,7 +70,7 @@ def test_a_client_drives_and_leaves_the_robot_to_others(name: str) -> None:
 def test_a_client_that_is_refused_says_what_would_cure_it(name: str) -> None:
     """In the robot's words, without a traceback."""
     with FakeRobot(front_bumper=True) as fake:
-        done = run(name, fake)
+        done = run(name, fake.listen)
     assert done.returncode == 1
     assert re.fullmatch(r".*bumper.*\. Cure: .*reset.*\n", done.stderr)
 

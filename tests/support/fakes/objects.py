@@ -22,26 +22,19 @@ class FakeObjects:
     def __init__(self, **objects: bytes) -> None:
         self.objects: dict[str, bytes] = dict(objects)
         self.ranges: list[tuple[str, int, int]] = []
-        self.looks: list[str] = []
         self.fetched = 0
         self.is_gone = False
-        self.refused: set[str] = set()
         self.breaks_after: int | None = None
         self.old_names: list[ListedObject] | None = None
 
-    @property
-    def requests(self) -> int:
-        return len(self.ranges) + len(self.looks)
-
     def look(self, name: str) -> StoredObject | None:
-        self.looks.append(name)
-        self._answer(name)
+        self._answer()
         data = self.objects.get(name)
         return None if data is None else StoredObject(len(data), mark_of(data))
 
     def read(self, name: str, start: int, end: int, e_tag: str) -> bytes:
         self.ranges.append((name, start, end))
-        self._answer(name)
+        self._answer()
         if self.breaks_after is not None:
             self.breaks_after -= 1
             if self.breaks_after < 0:
@@ -53,17 +46,15 @@ class FakeObjects:
         return data[start:end]
 
     def names(self) -> Iterator[ListedObject]:
-        self._answer("")
+        self._answer()
         if self.old_names is not None:
             yield from self.old_names
             return
         yield from [ListedObject(name, len(data)) for name, data in sorted(self.objects.items())]
 
-    def _answer(self, name: str) -> None:
+    def _answer(self) -> None:
         if self.is_gone:
             raise StoreError("no answer: check the store's endpoint and the network")
-        if name in self.refused:
-            raise StoreError("the store refuses it: give credentials that may read it")
 
 
 @lru_cache(64)

@@ -16,7 +16,8 @@ ASKS: Final = re.compile(r"passphrase (?:for|of) [^\n]*: |once more: ")
 
 class Terminal:
     def __init__(self, words: list[str], directory: Path, environment: dict[str, str]) -> None:
-        self._master, slave = pty.openpty()
+        master, slave = pty.openpty()
+        self._master = os.fdopen(master, "r+b", buffering=0)
         self.process = subprocess.Popen(
             words, cwd=directory, env=environment, stdin=slave, stdout=slave, stderr=slave, start_new_session=True
         )
@@ -35,6 +36,8 @@ class Terminal:
             raise
         finally:
             self._thread.join()
+            # Not before: the last process that leaves it could still get a SIGHUP.
+            self._master.close()
 
     def end(self) -> int:
         """Press Ctrl-C. Returns the exit code."""
@@ -54,9 +57,8 @@ class Terminal:
         answered = 0
         # Reading fails with EIO once nobody has the terminal any more.
         with suppress(OSError):
-            while data := os.read(self._master, 65536):
+            while data := self._master.read(65536):
                 self.shows += data.decode(errors="replace").replace("\r\n", "\n")
                 for _ in ASKS.findall(self.shows)[answered:]:
-                    os.write(self._master, b"correct horse\n")
+                    self._master.write(b"correct horse\n")
                     answered += 1
-        os.close(self._master)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import time
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Self
@@ -110,24 +109,6 @@ def test_everything_is_its_owners_alone(fleet: ProvisionedFleet) -> None:
     assert not [file for file in travel if b"PRIVATE" in file.read_bytes()]
     assert {file.stat().st_mode & 0o777 for file in travel} == {0o644}
     assert not [file for file in files if "unfinished" in file.name]
-
-
-def test_a_machine_gets_settings_that_any_command_takes(fleet: ProvisionedFleet) -> None:
-    robot, hall = fleet.let_in("robot", "cruiser-1"), fleet.let_in("viewer", "hall")
-    settings = tomllib.loads((robot / "robot.toml").read_text())
-    assert settings == {
-        "robot": {"root": "fleet", "name": "cruiser-1"},
-        "authority": {"mode": "signed", "directory": str(robot)},
-        "zenoh": {"config": str(robot / "robot.json5")},
-    }
-    zenoh = json.loads((robot / "robot.json5").read_text())
-    assert (zenoh["mode"], zenoh["connect"]["endpoints"], zenoh["listen"]["endpoints"]) == (
-        "client",
-        [ENDPOINT],
-        [],
-    )
-    assert tomllib.loads((hall / "viewer.toml").read_text())["authority"]["mode"] == "signed"
-    assert not (hall / "viewer.key").exists()
 
 
 def test_settings_that_somebody_added_to_stay(fleet: ProvisionedFleet) -> None:

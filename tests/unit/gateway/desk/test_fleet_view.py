@@ -9,8 +9,7 @@ from gateway.choice.chassis import CHASSIS
 from gateway.client.fleet import FINE, LOOK, WORDS, RobotStatus
 from gateway.desk.fleet_view import EVENTS_KEPT, FIELDS, LENGTH, PERIOD_NS, FleetView, row_of, why_not
 from gateway.desk.words import RecorderRow, RobotRow
-from gateway.telemetry.samples import Missed, TokenChange
-from schemas import keys
+from gateway.telemetry.samples import Missed
 from schemas.decisions import ArbiterState, SafetyState, Severity, StopPhase
 from schemas.messages import Message, Mode, RobotState
 from schemas.reasons import Reason
@@ -41,17 +40,6 @@ class Scene:
         (row,) = self.step(seconds).values()
         assert row is not None
         return row
-
-
-def test_only_what_has_changed_is_said() -> None:
-    scene = Scene()
-    assert scene.step() == {}
-    scene.view.receive(TokenChange(keys.liveliness("fleet", "cruiser-1"), present=True))
-    scene.say(STATE, STANDBY, HEALTH)
-    assert set(scene.step()) == {"cruiser-1"}
-    scene.say(STATE, STANDBY, HEALTH)
-    assert scene.step() == {}
-    assert scene.row(2).word == "offline"
 
 
 def test_a_robot_that_is_lost_stays_until_somebody_has_seen_it() -> None:

@@ -1,6 +1,5 @@
 """``cruiser record`` before it records: flags, name, plan, SIGHUP; and its output."""
 
-import argparse
 import os
 import pkgutil
 import signal
@@ -27,15 +26,6 @@ def test_a_reply_reads_like_a_sentence() -> None:
     assert text.startswith("depot: refused: why\n  a.mcap\n  in this state for 1 s, running for 2 s, version 1\n")
     assert "0.0 MB of logs, 0.0 MB of them incidents, 0.0 MB free" in text
     assert "dropped: none" in text
-
-
-def test_the_usage_shows_that_an_action_is_not_needed(capsys: pytest.CaptureFixture[str]) -> None:
-    parser = argparse.ArgumentParser(prog="cruiser record")
-    record.add_arguments(parser)
-    assert parser.format_usage().splitlines()[0] == "usage: cruiser record [options]"
-    with pytest.raises(SystemExit):
-        parser.parse_args(["status", "--help"])
-    assert capsys.readouterr().out.startswith("usage: cruiser record status [-h]")
 
 
 @pytest.mark.parametrize(

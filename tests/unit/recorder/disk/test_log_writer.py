@@ -282,23 +282,6 @@ def test_while_the_disk_takes_nothing_memory_is_bounded_and_losses_are_counted(
     assert Ended in map(type, others)
 
 
-def test_several_logs_are_written_at_once(tmp_path: Path, writer: LogWriter) -> None:
-    writer.submit(on_log([*BEGIN, chunk(1)]))
-    writer.submit(on_log([OpenLog("y", "y", WALL_NS, is_incident=True), *BEGIN[1:], chunk(2)], "y!"))
-    writer.submit(on_log([chunk(3)]))
-    writer.submit(on_log([chunk(4), CloseLog("x")], "y!"))
-    end(writer)
-    incident = tmp_path / "y-20270115T080000Z.incident.mcap"
-    assert (sequences(tmp_path / f"{STEM}.mcap"), sequences(incident)) == ([1, 3], [2, 4])
-    assert writer.path == str(tmp_path / f"{STEM}.mcap")
-    assert list(writer.notices()) == [
-        Opened("x", f"{STEM}.mcap"),
-        Opened("y!", incident.name),
-        Ended("y!", incident.name, incident.stat().st_size),
-        Ended("x", f"{STEM}.mcap", (tmp_path / f"{STEM}.mcap").stat().st_size),
-    ]
-
-
 def test_a_directory_that_vanishes_is_made_again(tmp_path: Path) -> None:
     directory = tmp_path / "logs"
     writer = LogWriter(LogDirectory(directory), "test")
@@ -360,27 +343,6 @@ def test_an_incident_begins_with_what_its_log_has_declared(tmp_path: Path, write
     assert names(first) == ["cruiser", "incident 0", "a.dbc"]
     assert names(second) == ["cruiser", "incident 1", "a.dbc"]
     assert (sequences(first), sequences(second)) == ([0], [1])
-
-
-def test_a_disk_that_hangs_and_then_fails_loses_nothing_untold(tmp_path: Path, disk: SlowDisk) -> None:
-    writer = LogWriter(LogDirectory(tmp_path), "test", queue_bytes=20_000)
-    writer.submit(on_log([*BEGIN, chunk(0), SyncLog("x")]))
-    wait_until(lambda: writer._chains["x"].file is not None and writer._chains["x"].file.kept_size > 0)
-    disk.goes_on.clear()
-    for number in range(1, 100):
-        writer.submit(on_log([chunk(number, 1000), SyncLog("x")]))
-        assert writer.waiting_bytes + writer._unkept_bytes <= 20_000 + 2000
-    wait_until(lambda: writer._unkept_bytes >= 10_000)
-    disk.fails = True
-    disk.goes_on.set()
-    wait_until(lambda: writer._is_faulty)
-    disk.fails = False
-    end(writer, chunk(100))
-    found = all_sequences(tmp_path)
-    assert found == sorted(set(found)), "nothing is there twice"
-    assert len(found) == 101 - writer.lost
-    assert 0 < writer.lost < 95
-    assert sum(one.counts[1] for one in writer.notices() if isinstance(one, Lost)) == writer.lost
 
 
 def test_what_may_be_written_again_is_bounded_over_all_logs(tmp_path: Path, disk: SlowDisk) -> None:

@@ -18,7 +18,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from recorder.mcap.reader import Fault, LoggedMessage
+from recorder.mcap.reader import LoggedMessage
 from recorder.mcap.recovery import copy_good, survey
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import LogReader, Selection
@@ -165,17 +165,6 @@ def test_every_variant_of_the_conformance_suite_is_sound(
     assert len(names) > 5
 
 
-@pytest.mark.parametrize("case", ["OneMessage", "OneSchemalessMessage", "TenMessages"])
-def test_each_message_of_the_conformance_suite_is_exported(
-    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in [name for name in VARIANTS if name.partition("-")[0] == case][::9]:
-        log = tmp_path / f"{name}.mcap"
-        log.write_bytes(make(name))
-        assert review("export", "-o", tmp_path / name, log) == ExitCode.OK
-        assert f": {CASES[case]} rows" in capsys.readouterr().out
-
-
 def record(opcode: int, body: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(body)) + body
 
@@ -272,17 +261,6 @@ def test_a_copy_keeps_at_least_what_an_export_reads(data: bytes, damage: list[tu
 def survey_is_whole(data: bytearray) -> bool:
     found = survey(BytesIO(data), len(data))
     return found.is_whole
-
-
-@pytest.mark.parametrize("data", FOREIGN)
-def test_a_chunk_that_is_damaged_costs_its_own_messages_alone(data: bytes) -> None:
-    second = data.index(b'"i":', len(data) // 8) if data is FOREIGN[0] else len(data) // 4
-    damaged = data[:second] + bytes([data[second] ^ 1]) + data[second + 1 :]
-    copy = kept(damaged)
-    assert sorted(one.data for one in messages(copy)) == sorted(one.data for one in messages(damaged))
-    assert 20 < len(messages(copy)) < 40
-    assert copy[17:25] == data[17:25]
-    assert not [one for one in walk(BytesIO(copy), len(copy)) if isinstance(one, Fault)]
 
 
 @pytest.mark.parametrize("search_bytes", range(40, 90, 7))

@@ -13,7 +13,6 @@ from recorder.mcap.reader import (
     End,
     Fault,
     LoggedMessage,
-    MessageBlock,
     PackedChunk,
     Piece,
     read_pieces,
@@ -66,14 +65,6 @@ def test_what_is_not_unpacked_is_not_read() -> None:
     stream = CountingStream(big)
     assert any(isinstance(piece, PackedChunk) for piece in read_pieces(stream, len(big), is_verifying=False))
     assert stream.count < 100_000
-
-
-@pytest.mark.parametrize("use_chunking", [True, False])
-def test_messages_outside_of_chunks_come_one_by_one(use_chunking: bool) -> None:  # noqa: FBT001 - a parameter
-    data = foreign_log(use_chunking=use_chunking)
-    loose = [piece for piece in pieces(data) if isinstance(piece, MessageBlock)]
-    assert len(loose) == (0 if use_chunking else 10)
-    assert all(data[one.offset : one.offset + len(one.content)] == one.content for one in loose)
 
 
 @pytest.mark.parametrize(

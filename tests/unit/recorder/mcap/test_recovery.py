@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 
 from recorder.encoding.protobuf import descriptor_set
 from recorder.mcap import framing
@@ -162,33 +162,6 @@ def test_a_lost_schema_costs_the_messages_of_its_channels() -> None:
     found, result = repaired(LOG.replace(*lost))
     assert rows(result) == [row for row in ROWS if row[1] != "cruiser.CanFrame"]
     assert any("5 messages" in fault for fault in found.faults)
-
-
-@pytest.mark.parametrize(
-    ("compression", "use_chunking"),
-    [(CompressionType.NONE, True), (CompressionType.ZSTD, True), (CompressionType.NONE, False)],
-)
-def test_logs_of_others_are_made_whole_too(*, compression: CompressionType, use_chunking: bool) -> None:
-    stream = BytesIO()
-    writer = Writer(stream, chunk_size=200, compression=compression, use_chunking=use_chunking)
-    writer.start("", "other")
-    schema = writer.register_schema("s", "jsonschema", b"{}")
-    channel = writer.register_channel("t", "json", schema)
-    for number in range(20):
-        writer.add_message(channel, number, b'{"a": 1}', number, number)
-    writer.finish()
-    data = stream.getvalue()
-    assert survey(BytesIO(data), len(data)).is_whole
-    last = 0
-    for size in range(len(data)):
-        found, result = repaired(data[:size])
-        if not found.end:
-            continue
-        read = [row[3] for row in rows(result, NonSeekingReader)]
-        assert read == list(range(len(read)))
-        assert found.messages == len(read) >= last
-        last = len(read)
-    assert last == 20
 
 
 def test_a_log_of_others_whose_data_checksum_is_wrong_is_not_called_good() -> None:

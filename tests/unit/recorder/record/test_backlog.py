@@ -112,16 +112,6 @@ def test_of_a_past_that_is_cut_off_only_a_journal_is_worth_nothing(key: str, exp
     assert sorted(robot.got) == expected
 
 
-def test_a_gateway_that_begins_anew_is_asked_anew() -> None:
-    robot = Robot(said=10)
-    robot.say()
-    robot.run()
-    robot.asked.clear()
-    robot.said = 5
-    robot.say(is_restart=True)
-    assert set(robot.backlog.queries(robot.now_ns)) == {Query(key, 0) for key in FIRSTS}
-
-
 @pytest.mark.parametrize("has_asked", [True, False])
 def test_the_end_is_asked_for_too(*, has_asked: bool) -> None:
     robot = Robot(EVENT)

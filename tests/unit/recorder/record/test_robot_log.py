@@ -20,10 +20,8 @@ from recorder.record.accounting import ChannelQuota, KeyReport
 from recorder.record.actions import (
     Action,
     CloseLog,
-    DeclareChannel,
     Opened,
     OpenLog,
-    Query,
     SyncLog,
     WriteChunk,
     WriteMetadata,
@@ -46,7 +44,6 @@ from tests.support.messages import (
     batch,
     feedback,
     gear,
-    info,
     key_of,
     safety_event,
     sample_of,
@@ -178,17 +175,6 @@ def test_the_flags_of_a_frame_are_told_apart(word: int, fd: int, expected: tuple
     assert (content.identifier, *flags, *fd_flags) == expected
 
 
-def test_the_file_is_opened_by_the_first_sample() -> None:
-    """A chunk handed over for its size counts as unsynced."""
-    log = Log(LogPlan("x", 1, SECOND, "1"))
-    assert log.tick(SECOND) == []
-    assert log.close() == b""
-    log.receive(*(sample_of(gear(number)) for number in range(3)))
-    assert kinds(log.done) == [OpenLog, WriteMetadata, DeclareChannel, WriteChunk, WriteChunk, WriteChunk]
-    assert log.done[0] == OpenLog("x", "x", WALL_NS)
-    assert kinds(log.tick(SECOND // 2)) == [SyncLog]
-
-
 @given(st.lists(st.tuples(st.integers(1, 300), st.booleans()), max_size=60))
 def test_no_message_waits_longer_than_the_setting(steps: list[tuple[int, bool]]) -> None:
     log = Log()
@@ -219,15 +205,6 @@ def test_what_a_gateway_still_keeps_fills_the_gap() -> None:
     assert in_short(log.log.channels.counts[key_of(Journal)]) == (6, 0, 0)
     sequences = [content.sequence for topic, _, _, content in read(log.close()) if topic == key_of(Journal)]
     assert sequences == [0, 4, 1, 2, 3, 5]
-
-
-def test_a_restarted_gateway_is_asked_again() -> None:
-    log = Log()
-    log.receive(sample_of(gear(900)), sample_of(info()))
-    log.ask(0)
-    log.receive(sample_of(gear(0)))
-    assert Query(INFO_KEY) in log.ask(2 * SECOND)
-    assert log.log.channels.counts[GEAR_KEY].lost_link == 0
 
 
 def test_more_keys_than_channels_share_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -399,20 +376,6 @@ def test_the_next_file_begins_with_the_next_sample() -> None:
     log.close(SECOND)
     (chunk,) = [one.chunk for one in context.actions if isinstance(one, WriteChunk)]
     assert chunk.counts == {1: 1}
-
-
-def test_what_the_recorder_says_is_in_the_log_like_a_sample() -> None:
-    log = Log()
-    assert log.add_own("own", GAP) == []
-    log.receive(sample_of(gear(0)))
-    log.tick(SECOND)
-    log.add_own("own", GAP, SECOND)
-    assert SyncLog in kinds(log.tick(2 * SECOND))
-    records = [one for one in read(log.close()) if one[0] == "own"]
-    assert len(records) == 2
-    for record in records:
-        assert (record[1], record[2].log_time, record[2].sequence) == ("cruiser.RecordGap", WALL_NS, 3)
-        assert (record[3].key, record[3].count) == (GEAR_KEY, 7)
 
 
 @pytest.mark.parametrize("kind", EventKind)

@@ -472,19 +472,6 @@ def test_any_store_of_the_library_holds_the_log(tmp_path: Path, place: str, coun
     assert upload(tmp_path / "logs", store).uploaded == 1
 
 
-def test_a_write_that_is_broken_off_shows_nothing_in_a_directory(tmp_path: Path) -> None:
-    store = LogStore(f"file://{tmp_path}/store", {})
-
-    async def broken() -> AsyncIterator[bytes]:
-        for _ in range(100):
-            yield bytes(100_000)
-        raise OSError(5, "Input/output error")
-
-    with pytest.raises(Exception, match="Input/output"):
-        asyncio.run(store.write("log.mcap", broken(), 20_000_000))
-    assert asyncio.run(store.look("log.mcap")) is None
-
-
 class Rows:
     """Makes rows, or fails."""
 
