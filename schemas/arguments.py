@@ -67,6 +67,17 @@ def number(low: float, high: float, what: str) -> Callable[[str], float]:
     return read
 
 
+def whole_number(low: int, high: int) -> Callable[[str], int]:
+    """Return a reader of whole numbers in a range."""
+
+    def read(text: str) -> int:
+        if not text.isascii() or not text.isdigit() or not low <= int(text[:20]) <= high:
+            raise argparse.ArgumentTypeError(f"{text!a} is not a whole number from {low} to {high}")
+        return int(text)
+
+    return read
+
+
 def ending_after(
     stopped: Callable[[], bool], duration_s: float | None, clock_s: Callable[[], float]
 ) -> Callable[[], bool]:

@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 import webbrowser
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -21,7 +20,6 @@ from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Final, Self
 
 import msgspec
@@ -30,9 +28,8 @@ from gateway.cli import parent
 from gateway.cli.sim_fault import cause
 from gateway.client.refusal import RobotError, Stopped, Unreachable, is_idle
 from gateway.client.robot import Lease, Robot
-from gateway.host.notes import StopNote
 from gateway.zenoh.client import open_local_router
-from schemas.arguments import ending_after, seconds
+from schemas.arguments import ending_after, seconds, whole_number
 from schemas.command_line import CommandError, ExitCode, address, module_command, shown_address
 from schemas.configuration import CONFIG_VARIABLE
 from schemas.decisions import ArbiterState, SafetyState
@@ -42,7 +39,6 @@ from schemas.zenoh_session import close_session, split_endpoint, with_port
 
 CHILD_READY_S: Final = 30.0
 CHILD_END_S: Final = 20.0
-LINES_KEPT: Final = 50
 CRUISER: Final = module_command("gateway")  # the command that runs the ``cruiser`` of this very installation
 
 
@@ -55,24 +51,19 @@ class Child:
     def __init__(self, name: str, words: Sequence[str], environment: Mapping[str, str] = os.environ) -> None:
         self._name = name
         watched, self._held = os.pipe()
-        try:
-            self._process = subprocess.Popen(  # noqa: S603 - our own command
-                # Ctrl-C is for the demo, which ends its children in their order.
-                [*CRUISER, name, *words],
-                start_new_session=True,
-                env={CONFIG_VARIABLE: "", **environment, parent.VARIABLE: str(watched)},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                pass_fds=[watched],
-            )
-        except OSError:
-            os.close(self._held)
-            raise
-        finally:
-            os.close(watched)
-        self._said: deque[str] = deque(maxlen=LINES_KEPT)
+        self._process = subprocess.Popen(  # noqa: S603 - our own command
+            # Ctrl-C is for the demo, which ends its children in their order.
+            [*CRUISER, name, *words],
+            start_new_session=True,
+            env={CONFIG_VARIABLE: "", **environment, parent.VARIABLE: str(watched)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            pass_fds=[watched],
+        )
+        os.close(watched)
+        self._first = self._last = ""  # lines on stderr
         self._spoke = threading.Event()
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -80,60 +71,51 @@ class Child:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._process.poll() is None:
-            self._process.kill()
-        self._process.wait()
-        self._thread.join()
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        with self._process:
+            self._thread.join()
         os.close(self._held)
-        for stream in (self._process.stdout, self._process.stderr):
-            if stream is not None:
-                stream.close()
 
     def wait_ready(self) -> str:
         if not self._spoke.wait(CHILD_READY_S):
             raise CommandError(f"{self._name} did not start in time")
-        line = self._said[0] if self._said else ""
-        if not line.startswith(f"{self._name}: "):
+        if not self._first.startswith(f"{self._name}: "):
             self._process.wait()
-            self._thread.join()
             self.check()
-        return line
+        return self._first
 
     @property
     def is_over(self) -> bool:
         return self._process.poll() is not None
 
     def check(self) -> None:
+        """Raise CommandError with its last line if it has ended."""
         code = self._process.poll()
         if code is None:
             return
         self._thread.join()
-        last = self._said[-1] if self._said else f"{self._name} ended with {code}"
-        known = {exit_code.value for exit_code in ExitCode} - {ExitCode.OK.value}
-        raise CommandError(last, ExitCode(code) if code in known else ExitCode.FAILURE)
+        known = ExitCode(code) if 0 < code <= max(ExitCode) else ExitCode.FAILURE
+        raise CommandError(self._last or f"{self._name} ended with {code}", known)
 
     def end(self) -> str:
         """Send SIGTERM, wait, and return its stdout."""
         self.check()
         self._process.terminate()
         try:
-            # What it prints is short and waits in the pipe.
             self._process.wait(CHILD_END_S)
-            out = self._process.stdout.read() if self._process.stdout else ""
         except subprocess.TimeoutExpired as error:
             raise CommandError(f"{self._name} did not stop in time") from error
-        # What a recorder dropped on a busy machine is in its result, and no reason to have none.
+        # A recorder that dropped samples on a busy machine has a result all the same.
         if self._process.returncode not in {ExitCode.OK, ExitCode.PARTIAL}:
             self.check()
-        return out
+        return self._process.stdout.read() if self._process.stdout else ""
 
     def _listen(self) -> None:
-        """Collect its stderr; the first line, or the end, wakes ``wait_ready``."""
+        """Read its stderr; the first line, or the end, wakes ``wait_ready``."""
         for line in self._process.stderr or ():
-            self._said.append(line.rstrip("\n"))
+            self._last = line.rstrip("\n")
+            self._first = self._first or self._last
             self._spoke.set()
         self._spoke.set()
 
@@ -159,14 +141,14 @@ DESK_OUT: Final = Path("demo-desk")
 
 POLL_S: Final = 0.2
 
-BEGUN_MAX: Final = 5  # a gateway that died so often is started no more
+STARTS_MAX: Final = 5  # a gateway that was started more often is not started again
 ENDED_AT_ONCE: Final = 8  # processes that are ended at the same time
 
 
 def add_desk_arguments(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--robots",
-        type=partial(_whole, high=ROBOTS_MOST),
+        type=whole_number(1, ROBOTS_MOST),
         default=ROBOTS,
         metavar="N",
         help="number of robots (default on this machine %(default)s)",
@@ -198,7 +180,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
         names = [f"cruiser-{number}" for number in range(1, arguments.robots + 1)]
         robots = [VirtualRobot(name, configuration, endpoint, state, stack) for name in names]
         for robot in robots:
-            robot.begin()
+            robot.start_gateway()
         for robot in robots:
             robot.gateway.wait_ready()
         directory = fresh(arguments.out or DESK_OUT)
@@ -218,7 +200,7 @@ def run_desk(arguments: argparse.Namespace, stopped: Callable[[], bool]) -> int:
             for child in (recorder, desk):
                 child.check()
             for robot in robots:
-                robot.tend(_tell)
+                robot.restart_dead_gateway()
             time.sleep(POLL_S)
         # The gateways before their chassis: a robot that moves is stopped first.
         for children in ([desk, recorder], [one.gateway for one in robots], [one.chassis for one in robots]):
@@ -236,7 +218,7 @@ class VirtualRobot:
         self.chassis = stack.enter_context(Child("sim", [*configuration, "--listen", f"{HOST}:0"]))
         self._name = name
         self._words = [*configuration, "--robot", name, "--connect", endpoint]
-        # It has no keys, and is met at the router alone.
+        # It has no keys, and is reached through the router alone.
         own = {
             "ZENOH_MODE": "client",
             "ZENOH_CONFIG": "",
@@ -244,35 +226,25 @@ class VirtualRobot:
             "GATEWAY_STATE_DIR": str(state),
         }
         self._environment = os.environ | {f"CRUISER_{key}": text for key, text in own.items()}
-        self._state = state
         self._stack = stack
-        self._begun = 0
-        self._noted = ""
+        self._starts = 0
 
-    def begin(self) -> None:
-        self._begun += 1
+    def start_gateway(self) -> None:
+        self._starts += 1
         self.address = self.chassis.wait_ready().rpartition(" on ")[2]
         words = [*self._words, "--interface", "socketcand", "--channel", self.address]
-        self.gateway = self._stack.enter_context(Child("gateway", words, environment=self._environment))
+        self.gateway = self._stack.enter_context(Child("gateway", words, self._environment))
 
-    def tend(self, tell: Callable[[str], None]) -> None:
-        """Restart a gateway that died, and print what its guard did."""
+    def restart_dead_gateway(self) -> None:
         self.chassis.check()
         if self.gateway.is_over:
-            if self._begun > BEGUN_MAX:
+            if self._starts > STARTS_MAX:
                 self.gateway.check()
-            tell(f"{self._name}: its gateway died. The guard stops the robot; starting another gateway")
-            self.begin()
-        for path in self._state.glob(f"*.{self._name}.guard-stop"):
-            line = StopNote(path).last()
-            if line is not None and line[1] != self._noted:
-                self._noted = line[1]
-                tell(f"{self._name}: {line[1]}")
-
-
-def _tell(line: str) -> None:
-    sys.stdout.write(f"{time.strftime('%H:%M:%S')}  {line}\n")
-    sys.stdout.flush()
+            sys.stdout.write(
+                f"{self._name}: its gateway died. The guard stops the robot; starting another gateway\n"
+            )
+            sys.stdout.flush()
+            self.start_gateway()
 
 
 def _port(wanted: int) -> int:
@@ -284,12 +256,6 @@ def _port(wanted: int) -> int:
         except OSError:
             continue
     raise CommandError("no free port on this machine")
-
-
-def _whole(text: str, high: int) -> int:
-    if not text.isascii() or not text.isdigit() or not 1 <= int(text) <= high:
-        raise argparse.ArgumentTypeError(f"{text!a} is not a whole number from 1 to {high}")
-    return int(text)
 
 
 def _open_browser(page: str) -> None:
@@ -381,7 +347,7 @@ def _record(
         stack.callback(close_session, open_local_router(endpoint))
         state = Path(stack.enter_context(TemporaryDirectory(prefix="cruiser-")))
         robot = VirtualRobot(settings.robot.name, configuration, endpoint, state, stack)
-        robot.begin()
+        robot.start_gateway()
         robot.gateway.wait_ready()
         words = [*configuration, "--connect", endpoint]
         keys = f"{settings.robot.root}/{settings.robot.name}/**"
@@ -466,19 +432,23 @@ class Play:
 
     def _vanish(self) -> None:
         """Kill ``cruiser drive`` while it drives."""
-        robot = self._settings.robot.name
         self._tell(FIRST, "drives with 'cruiser drive'")
-        words = [robot, *self._words, "--operator", FIRST, "--speed", "-0.5", "--seconds", "60"]
-        is_moving, end_s = False, time.monotonic() + TRY_AGAIN_S
-        while not is_moving and time.monotonic() < end_s:
-            with Child("drive", words) as drive:
-                self._seen.wait_for(partial(self._has_begun, drive), READY_TIMEOUT_S)
-                self._go_on(1.0)
-                is_moving = not drive.is_over
+        words = [
+            self._settings.robot.name,
+            *self._words,
+            "--operator",
+            FIRST,
+            "--speed",
+            "-0.5",
+            "--seconds",
+            "60",
+        ]
+        with Child("drive", words) as drive:
+            self._seen.wait_for(
+                lambda state: self._stopped() or drive.is_over or state.output_speed_mps != 0, READY_TIMEOUT_S
+            )
+            self._go_on(1.0)
         self._tell(FIRST, "its process was killed")
-
-    def _has_begun(self, drive: Child, state: SafetyState) -> bool:
-        return self._stopped() or drive.is_over or state.output_speed_mps != 0
 
     def _drive_on(self, lease: Lease) -> None:
         self._tell(SECOND, "drives on")

@@ -10,7 +10,7 @@ from typing import Final
 from gateway.client.refusal import LOOK, Unreachable
 from gateway.client.remote_stop import who_is_there
 from gateway.client.robot import CONNECT_TIMEOUT_S, Lease, Robot
-from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds
+from schemas.arguments import add_zenoh_arguments, operator_name, robot_name, seconds, whole_number
 from schemas.command_line import CommandError
 from schemas.requests import LEASE_MAX, Role
 from schemas.settings import Settings
@@ -67,11 +67,7 @@ def connect(arguments: argparse.Namespace, settings: Settings, stopped: Callable
         raise Unreachable(f"{error}{who_is_there(settings, arguments.robot)}") from error
 
 
-def lease_number(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or int(text) > LEASE_MAX:
-        raise argparse.ArgumentTypeError(f"{text!a} is not the number of a lease")
-    return int(text)
-
+lease_number: Final = whole_number(0, LEASE_MAX)
 
 POLL_S: Final = 0.05
 

@@ -33,8 +33,8 @@ from gateway.host.looks import (
     run_program,
 )
 from gateway.provisioning.issuer import install, unknown_of
-from gateway.provisioning.key_files import KeyStore, expires_s, read_certificates, replace_whole
-from schemas.arguments import robot_name
+from gateway.provisioning.key_files import KeyStore, replace_whole
+from schemas.arguments import robot_name, whole_number
 from schemas.authority.key_files import find
 from schemas.command_line import CommandError, ExitCode, UsageError, plain
 from schemas.configuration import write_key, write_value
@@ -56,26 +56,6 @@ RESTART_MS: Final = 100
 
 SERVICES: Final = {"gateway": "robot", "recorder": "recorder", "router": "router"}
 """Services with the role of their certificates; their keys are in a directory of the service's name."""
-
-
-# findings that may disappear in the first seconds after a start
-PENDING: Final = frozenset(
-    {
-        "bus_unreachable",
-        "bus_silent",
-        "feedback_missing",
-        "variant_unknown",
-        "router_unreachable",
-        "gateway_missing",
-        "gateway_hangs",
-        "service_not_active",
-        "realtime",
-        "unguarded",
-        "blocked",
-        "disk_unusable",
-        "recorder_missing",
-    }
-)
 
 
 class Answers(msgspec.Struct, frozen=True):
@@ -209,9 +189,9 @@ EXAMPLE: Final = """\
   sudo cruiser setup                                        asks, with what was found as default
   sudo cruiser setup --defaults --bundle robot-cruiser-1.bundle --fingerprint F"""
 
-READY_S: Final = 60.0  # time for the services to start well
+BITRATE: Final = whole_number(1, 1_000_000)
 
-PROGRAM_TIMEOUT_S: Final = 120.0
+READY_S: Final = 60.0  # time for the services to start well
 
 SERVICE_OF: Final = {TransportRole(role): service for service, role in SERVICES.items()}
 
@@ -230,7 +210,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", type=robot_name, metavar="NAME", help="the robot's name")
     parser.add_argument("--interface", metavar="NAME", help="python-can interface (default socketcan)")
     parser.add_argument("--channel", metavar="CHANNEL", help="channel of the interface (default can0)")
-    parser.add_argument("--bitrate", type=_bitrate, metavar="BIT/S", help=f"bit rate (default {USUAL_BITRATE})")
+    parser.add_argument("--bitrate", type=BITRATE, metavar="BIT/S", help=f"bit rate (default {USUAL_BITRATE})")
     parser.add_argument(
         "--router", action="append", metavar="ENDPOINT", help="router without certificates; may be repeated"
     )
@@ -256,26 +236,18 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     return int(set_up(arguments, Machine(), stopped))
 
 
-def run_to_end(words: Sequence[str]) -> str:
-    """Run a system program. Returns why it failed, in one line; empty if it succeeded."""
+def run_in_sight(words: Sequence[str]) -> bool:
+    """Run a system program, whose own errors the user sees. Returns True if it succeeded."""
     try:
-        done = subprocess.run(  # noqa: S603 - programs of the system, named in this tree
-            list(words), capture_output=True, text=True, check=False, timeout=PROGRAM_TIMEOUT_S
-        )
-    except OSError as error:
-        return (error.strerror or str(error)).lower()
-    except subprocess.TimeoutExpired:
-        return f"it did not end within {PROGRAM_TIMEOUT_S:g} s"
-    if done.returncode == 0:
-        return ""
-    said = (done.stderr.strip() or done.stdout.strip()).splitlines()
-    return plain(said[-1]) if said else f"exit code {done.returncode}"
+        return subprocess.run(list(words), check=False).returncode == 0  # noqa: S603 - programs named in this tree
+    except OSError:
+        return False
 
 
 class Machine:
     """Writes files and runs programs, and prints each step. Tests replace both."""
 
-    def __init__(self, root: Path = Path("/"), program: Callable[[Sequence[str]], str] = run_to_end) -> None:
+    def __init__(self, root: Path = Path("/"), program: Callable[[Sequence[str]], bool] = run_in_sight) -> None:
         self._root = root
         self._program = program
 
@@ -286,26 +258,26 @@ class Machine:
         """Write a file that all may read, atomically. A changed file is saved beside it first."""
         path = self.path(name)
         try:
-            before = path.read_text("utf-8") if path.exists() else None
-            if before == text:
+            if not path.exists():
+                say(f"writing {name}")
+                path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
+            elif path.read_bytes() == text.encode():
                 say(f"{name}: unchanged")
                 return
-            kept = f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%SZ}" if before is not None else ""
-            say(f"writing {name}{f', old file saved as {kept}' if kept else ''}")
-            path.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
-            if before is not None:
-                replace_whole(path.with_name(kept), before, 0o644)
+            else:
+                saved = path.with_name(f"{path.name}.before-{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
+                say(f"writing {name}, old file saved as {saved.name}")
+                saved.hardlink_to(path)
             replace_whole(path, text, 0o644)
-        except (OSError, UnicodeDecodeError) as error:
-            why = (error.strerror or str(error)).lower() if isinstance(error, OSError) else "it is not a text file"
-            raise CommandError(f"{name} cannot be written: {why}") from error
+        except OSError as error:
+            raise CommandError(f"{name} cannot be written: {(error.strerror or str(error)).lower()}") from error
 
     def run(self, programs: Iterable[Sequence[str]]) -> None:
         """Run programs. Failures are printed; doctor finds their effect."""
         for words in programs:
             say(f"running: {' '.join(words)}")
-            if why_not := self._program(words):
-                say(f"'{' '.join(words)}' failed: {why_not}")
+            if not self._program(words):
+                say(f"'{' '.join(words)}' failed")
 
 
 def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[], bool]) -> ExitCode:
@@ -330,8 +302,7 @@ def set_up(arguments: argparse.Namespace, machine: Machine, stopped: Callable[[]
     while True:
         facts = doctor.look(settings, 3.0, stopped)
         found = diagnose(facts)
-        must = {one.check for one in found if not one.is_note}
-        if not must & PENDING or stopped() or time.monotonic() > end_s:
+        if all(one.is_note for one in found) or stopped() or time.monotonic() > end_s:
             return doctor.report(facts, found, as_json=False)
 
 
@@ -356,7 +327,7 @@ def _answers(
     link = _interface(machine, interface, channel)
     if interface != "socketcand" and not (link and link.is_virtual):
         usual = (link and link.bitrate) or before.can.bitrate or USUAL_BITRATE
-        bitrate = int(ask("its bit rate", str(usual), arguments.bitrate, _bitrate))
+        bitrate = int(ask("its bit rate", str(usual), arguments.bitrate and str(arguments.bitrate), BITRATE))
     keys = {SERVICE_OF[one.role] for one in bundles}
     keys |= {one for one, role in SERVICES.items() if machine.path(f"{KEYS}/{one}/{role}.json5").exists()}
     routers = before.zenoh.connect
@@ -392,12 +363,6 @@ def _ask(prompt: str, default: str, check: Callable[[str], object]) -> str:
             say(str(error))
         else:
             return answer
-
-
-def _bitrate(text: str) -> str:
-    if not text.isascii() or not text.isdigit() or not 0 < int(text) <= 1_000_000:
-        raise argparse.ArgumentTypeError(f"{text!a} is not a bit rate from 1 to 1000000 bit/s")
-    return text
 
 
 def _interface(machine: Machine, interface: str, channel: str) -> CanInterface | None:
@@ -443,14 +408,8 @@ def _bundles(files: Iterable[str]) -> dict[Path, Bundle]:
             raise UsageError(f"{name} belongs to another user; chown it to yours")
         try:
             bundle = read_bundle(found.content, int(time.time()))
-            ended_s = time.time() - expires_s(read_certificates(bundle.certificate)[0])
         except EnrolmentError as error:
             raise UsageError(f"{name}: {error}") from error
-        if ended_s > 0:
-            raise UsageError(
-                f"{name}: its certificate ended {ended_s / 86_400:.1f} days ago -> request another with "
-                f"'cruiser provision renew {bundle.role.value}'"
-            )
         if bundle.role not in SERVICE_OF:
             raise CommandError(f"{name} is for a {bundle.role.value}: no service here uses it")
         bundles[file] = bundle

@@ -21,6 +21,7 @@ from recorder.objects.address import is_address
 from recorder.reading.logs import Faults
 from recorder.reading.times import date_of, in_words
 from recorder.review.report.findings import iso
+from schemas.arguments import whole_number
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--since", type=_moment, default=0, metavar="TIME", help=f"ended after this time: {moment}"
     )
     parser.add_argument("--until", type=_moment, metavar="TIME", help="begun before this time, likewise")
-    parser.add_argument("--newest", type=_count, metavar="N", help="only the last N answers")
+    parser.add_argument("--newest", type=whole_number(1, 2**31 - 1), metavar="N", help="only the last N answers")
     parser.add_argument("--json", action="store_true", help=f"{JSON_HELP}, an object a line")
     parser.add_argument(
         "--catalog",
@@ -88,12 +89,6 @@ def _moment(text: str) -> int:
             f"{text!a} is no time: give one as 30d, 2026-01-02 or 2026-01-02T03:04:05Z"
         )
     return time_ns
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and 0 < int(text[:10]) < 2**31):
-        raise argparse.ArgumentTypeError(f"{text!a} is no number of answers")
-    return int(text)
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:

@@ -37,7 +37,7 @@ from recorder.replay import (
     wants_of,
 )
 from schemas import keys
-from schemas.arguments import add_link_arguments, seconds
+from schemas.arguments import add_link_arguments, seconds, whole_number
 from schemas.command_line import CommandError, ExitCode, plain
 from schemas.settings import DEFAULT_ENDPOINT, Settings
 
@@ -249,8 +249,4 @@ def _speed(text: str) -> float:
 
 
 def _loops(text: str) -> int:
-    if text == "forever":
-        return FOR_EVER
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a number of times nor 'forever'")
-    return int(text)
+    return FOR_EVER if text == "forever" else whole_number(1, 2**31 - 1)(text)

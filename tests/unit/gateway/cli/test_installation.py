@@ -11,7 +11,6 @@ import pytest
 from gateway.authority.enrolment import TransportRole
 from gateway.cli.setup import (
     NOBODY_DRIVES,
-    PENDING,
     SERVICES,
     Answers,
     configuration,
@@ -115,5 +114,5 @@ def test_what_can_run_is_started_the_router_first(answers: Answers, services: li
     assert started == [f"cruiser-{name}.service" for name in services]
 
 
-def test_what_setup_refuses_and_waits_for_are_findings_of_doctor() -> None:
-    assert {*NOBODY_DRIVES, *PENDING} <= {check.name for check in CHECKS}
+def test_what_setup_refuses_are_findings_of_doctor() -> None:
+    assert {check.name for check in CHECKS} >= NOBODY_DRIVES

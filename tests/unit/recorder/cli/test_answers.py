@@ -400,7 +400,7 @@ $ report two.mcap --json --robot r-2 => {"robots": [{"name": "r-2"}]}
 2$ find stops --reason front_bumpr logs => there is no reason 'front_bumpr': did you mean front_bumper?
 2$ find stops --since yesterday logs => 'yesterday' is no time: give one as 30d
 2$ find stops --since 30 logs => '30' is no time
-2$ find stops --newest 0 logs => '0' is no number of answers
+2$ find stops --newest 0 logs => '0' is not a whole number from 1
 2$ find stops --since 1d --until 2d logs => --since must be before --until
 2$ find stops --robot cruiser-9 logs => the logs hold nothing of cruiser-9, but of cruiser-1, cruiser-2
 """

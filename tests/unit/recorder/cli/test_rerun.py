@@ -113,7 +113,7 @@ def test_a_whole_configuration_can_be_tried(log: Path, tmp_path: Path, capsys: p
         (["--with", "/does/not/exist.toml"], r"cannot read /does/not/exist\.toml: No such file or directory$"),
         (["--with", "/bin/sh"], "cannot read /bin/sh: it is no UTF-8 text$"),
         *(
-            ([f"--processes={count}"], f"{count!r} is no number of at least 1")
+            ([f"--processes={count}"], f"{count!r} is not a whole number from 1 to")
             for count in ("0", "-1", "two", "1.5")
         ),
     ],
