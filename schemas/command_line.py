@@ -6,7 +6,8 @@ import argparse
 import ipaddress
 import stat
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import IntEnum
 from importlib.util import find_spec
 from pathlib import Path, PurePath
@@ -61,6 +62,27 @@ def plain(text: str) -> str:
 
 def short(text: str) -> str:
     return text if len(text) <= LINE_LENGTH else f"{text[: LINE_LENGTH - 3]}..."
+
+
+_EXTRA_OF: Final = {  # by library
+    **dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"),
+    **dict.fromkeys(("starlette", "uvicorn", "websockets"), "desk"),
+    "obstore": "upload",
+    "foxglove": "live",
+    "prometheus_client": "metrics",
+}
+
+
+@contextmanager
+def needing_extra() -> Iterator[None]:
+    """Name the missing extra if an import in this block fails."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in _EXTRA_OF:
+            raise
+        raise missing_extra(name, _EXTRA_OF[name]) from None
 
 
 def missing_extra(library: str, extra: str) -> CommandError:

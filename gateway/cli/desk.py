@@ -17,7 +17,7 @@ from gateway.zenoh.client import DeskListener
 from gateway.zenoh.operator import CommandPort
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.command_line import CommandError, ExitCode, certificate_files, missing_extra, shown_address
+from schemas.command_line import CommandError, ExitCode, certificate_files, needing_extra, shown_address
 from schemas.command_line import address as listen_address
 from schemas.settings import DeskSettings, Settings
 from schemas.zenoh_session import place
@@ -28,8 +28,6 @@ EXAMPLE: Final = """\
   cruiser desk --logs logs --logs-only
   cruiser desk --listen 0.0.0.0:8443 --certificate desk.pem --certificate-key desk.key --host desk.example"""
 
-
-PACKAGES: Final = frozenset({"starlette", "uvicorn", "websockets"})  # import names of what the extra 'desk' brings
 
 LOCAL_NAMES: Final = ("127.0.0.1", "localhost", "::1", "[::1]")
 
@@ -77,14 +75,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    try:
+    with needing_extra():
         from gateway.cli.desk_logs import DeskLogs  # noqa: PLC0415 - the same
         from gateway.cli.desk_server import Hub, make_app, make_logs_app, serve  # noqa: PLC0415 - needs the extra 'desk'
         from gateway.desk.words import FROM_BROWSER_BYTES  # noqa: PLC0415 - the same
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in PACKAGES:
-            raise
-        raise missing_extra(" and ".join(sorted(PACKAGES)), "desk") from None
     desk = settings.desk
     if arguments.logs_only and not desk.logs:
         raise CommandError("--logs-only needs --logs DIR", ExitCode.USAGE)

@@ -17,7 +17,6 @@ import time
 import tty
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 from typing import Any, Final, Self
 
 import msgspec
@@ -65,9 +64,7 @@ class Terminal:
         termios.tcsetattr(self._in, termios.TCSADRAIN, changed)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(termios.error):  # The terminal may have gone.
             # What was typed for the robot is no command for the shell.
             termios.tcsetattr(self._in, termios.TCSAFLUSH, self._saved)

@@ -11,7 +11,6 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -24,7 +23,7 @@ from gateway.telemetry.samples import TokenChange
 from gateway.zenoh.client import RobotListener
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, robot_names, seconds
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode
 from schemas.settings import Settings
 from schemas.zenoh_session import place
 
@@ -36,7 +35,6 @@ EXAMPLE = """\
 
 log = logging.getLogger(__name__)
 
-BLIND_ROLES: Final = frozenset({"robot", "router"})  # roles whose certificates see no telemetry of robots
 SEEN_KEPT: Final = 1000  # remembered robots per network
 NAMED_MAX: Final = 8  # lost robots named on stderr; all are in the list
 ARBITER_S: Final = 0.2  # wait for an arbiter's state after the chassis's
@@ -78,8 +76,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     if stopped():
         # Robots that have not answered yet may not be silent.
         raise KeyboardInterrupt
-    if not reports and settings.zenoh.config:
-        check_role(settings.zenoh.config)
     if not search.linked:
         text = f"no Zenoh node answered within {arguments.timeout:g} s at {where}"
         raise CommandError(text, ExitCode.UNREACHABLE)
@@ -105,18 +101,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             f"there may be more robots: not every node answered within {arguments.timeout:g} s at {where}\n"
         )
     return int(ExitCode.OK if search.is_complete and not lost else ExitCode.PARTIAL)
-
-
-def check_role(config: str) -> None:
-    """Refuse a Zenoh file whose certificate cannot see robots."""
-    from gateway.provisioning.key_files import role_of  # noqa: PLC0415 - only if no robot is seen
-
-    if (role := role_of(Path(config))) in BLIND_ROLES:
-        raise CommandError(
-            f"these are the settings of a {role} ({plain(config)}), whose certificate cannot see robots: use "
-            "those of an operator or a viewer, 'cruiser list --config operator.toml'",
-            ExitCode.USAGE,
-        )
 
 
 class Expected:

@@ -14,7 +14,7 @@ from gateway.cli.shut_out import check_session_files
 from gateway.provisioning.key_files import certificate_ends_s
 from gateway.zenoh.client import FleetListener
 from schemas.arguments import add_zenoh_arguments, ending_after, seconds
-from schemas.command_line import ExitCode, address, missing_extra
+from schemas.command_line import ExitCode, address, needing_extra
 from schemas.settings import Settings
 from schemas.zenoh_session import place
 
@@ -39,13 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[], bool]) -> int:
-    try:
+    with needing_extra():
         from gateway.cli.metrics_server import MetricsServer  # noqa: PLC0415 - needs the extra 'metrics'
         from gateway.metrics import FleetMetrics  # noqa: PLC0415 - the same
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "prometheus_client":
-            raise
-        raise missing_extra("prometheus_client", "metrics") from None
     if settings.zenoh.config:
         check_session_files(Path(settings.zenoh.config))
     metrics = FleetMetrics(settings.robot.root, version("cruiser-gateway"), certificate_ends_s(settings.zenoh))

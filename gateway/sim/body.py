@@ -19,25 +19,15 @@ GRAVITY_MPS2: Final = 9.81
 
 EMPTY_MASS_KG: Final = 116.0  # manual V2.0, 2.2
 
-TOP_SPEED_MPS: Final = 8 / 3.6
-"""8 km/h (manual V2.0, 2.2): the fastest drive speed; downhill it may roll faster."""
-
+TOP_SPEED_MPS: Final = 8 / 3.6  # 8 km/h (manual V2.0, 2.2): the fastest drive speed; downhill it may roll faster
 STEERING_LIMIT_DEG: Final = 24.0  # the soft limit inside the chassis (manual V2.0, 5 (2))
 TRACK_M: Final = 0.606  # distance between the rear wheels (manual V2.0, 2.2)
 TYRE_DIAMETER_M: Final = 0.420  # manual V2.0, 2.2
 
-PULSES_PER_TURN: Final = 1024
-"""Encoder counts for one turn of a wheel. Chosen: the manual gives none."""
-
-SPEED_LAG_S: Final = 0.15
-"""Time constant of the drive's first-order lag. Chosen."""
-
-ACCELERATION_MPS2: Final = 1.5
-"""The drive's greatest acceleration. Chosen, above any command of the gateway."""
-
-DECELERATION_MPS2: Final = 2.0
-"""The drive's greatest deceleration without brakes. Chosen."""
-
+PULSES_PER_TURN: Final = 1024  # encoder counts for one turn of a wheel. Chosen: the manual gives none
+SPEED_LAG_S: Final = 0.15  # time constant of the drive's first-order lag. Chosen
+ACCELERATION_MPS2: Final = 1.5  # the drive's greatest acceleration. Chosen, above any command of the gateway
+DECELERATION_MPS2: Final = 2.0  # the drive's greatest deceleration without brakes. Chosen
 MAX_DRIVE_FORCE_N: Final = 630.0
 """The motor's greatest force, either way. Chosen by the slopes that the chassis climbs (manual V2.0, 2.2).
 
@@ -48,9 +38,7 @@ payload would take 660 N.
 ROLLING_DECELERATION_MPS2: Final = 0.3
 """Rolling resistance, at any speed, load and slope. Chosen; in neutral it holds the robot up to 1.75 deg."""
 
-BRAKING_DECELERATION_MPS2: Final = 3.0
-"""The service brake at full pedal and a pedal gain of 1. Chosen."""
-
+BRAKING_DECELERATION_MPS2: Final = 3.0  # the service brake at full pedal and a pedal gain of 1. Chosen
 PARKING_DECELERATION_MPS2: Final = 7.0
 """The grip of the applied electromagnetic parking brake, standing or moving. Chosen; 20 deg need 3.4."""
 
@@ -65,15 +53,11 @@ SHIFT_SPEED_MPS: Final = 0.01
 SPEED_RESOLUTION_MPS: Final = 0.0005
 """The lagging speed snaps to its target within this: half of the finest bit on the wire."""
 
-REBOOT_NS: Final = 2_000_000_000
-"""The default time that the chassis's control unit takes to reboot. Chosen."""
-
+REBOOT_NS: Final = 2_000_000_000  # the default time that the chassis's control unit takes to reboot. Chosen
 BOUNCE_NS: Final = tuple(number * 1_000_000 for number in (30, 50, 10, 80, 20, 40))
 """Times for which a bouncing contact is closed, open and so on, before it settles. Chosen."""
 
-START_MILEAGE_M: Final = 12_345.0
-"""Mileage at power-up, not zero, so that clearing it is visible. Chosen."""
-
+START_MILEAGE_M: Final = 12_345.0  # mileage at power-up, not zero, so that clearing it is visible. Chosen
 FOREIGN_PERIOD_NS: Final = 100_000_000  # the default period of a foreign frame
 
 MAX_RATE_MULTIPLIER: Final = 100.0

@@ -17,7 +17,7 @@ import msgspec
 from recorder.reading.logs import Faults, LogFile, find_logs
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection
 from recorder.reading.times import FORMS, in_words, time_of
-from schemas.command_line import CommandError, ExitCode, missing_extra, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.keys import in_order
 from schemas.settings import Settings
 
@@ -25,12 +25,6 @@ if TYPE_CHECKING:
     from recorder.objects.address import StoreAddress
 
 JSON_HELP: Final = "print JSON"
-
-_EXTRA: Final = {  # by library
-    **dict.fromkeys(("duckdb", "numpy", "ptars", "pyarrow"), "review"),
-    "obstore": "upload",
-    "foxglove": "live",
-}
 
 NAMES_SHOWN: Final = 12  # limit of robots that are named in a line
 BUDGET_S: Final = 30.0  # time after which reading is given up
@@ -209,18 +203,6 @@ def in_time(total_bytes: int, progress: Progress) -> Progress:
         progress(count)
 
     return go_on
-
-
-@contextmanager
-def needing_extra() -> Generator[None, None, None]:
-    """Name the missing extra if an import in this block fails."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        name = (error.name or "").partition(".")[0]
-        if name not in _EXTRA:
-            raise
-        raise missing_extra(name, _EXTRA[name]) from None
 
 
 def no_robot(faults: Faults) -> CommandError:

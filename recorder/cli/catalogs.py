@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from recorder.cli.asking import in_time, needing_extra, progress_bar
+from recorder.cli.asking import in_time, progress_bar
 from recorder.objects.address import StoreAddress, shown_url
 from recorder.reading.logs import Faults
 from recorder.review.catalog.directory import Catalog, PlaceCatalog
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.settings import Settings
 
 Place = Path | StoreAddress

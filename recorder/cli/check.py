@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from recorder.cli.asking import add_logs, end_with, find, needing_extra, progress_bar, table, worst
+from recorder.cli.asking import add_logs, end_with, find, progress_bar, table, worst
 from recorder.cli.show import show
 from recorder.reading.times import in_words
 from recorder.review.flaws import About, Finding
-from schemas.command_line import CommandError, ExitCode
+from schemas.command_line import CommandError, ExitCode, needing_extra
 from schemas.settings import Settings
 
 if TYPE_CHECKING:

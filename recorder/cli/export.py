@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.asking import Asked, add_logs, add_period, end_with, find, needing_extra, progress_bar
+from recorder.cli.asking import Asked, add_logs, add_period, end_with, find, progress_bar
 from recorder.cli.show import show
 from recorder.cli.spread import add_task_runner, task_runner
 from recorder.reading.rows import Progress, Selection
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review export -o dataset logs

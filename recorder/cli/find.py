@@ -15,14 +15,14 @@ from urllib.parse import quote
 
 import msgspec
 
-from recorder.cli.asking import JSON_HELP, add_robots, chosen_robots, end_with, log_place, needing_extra, table
+from recorder.cli.asking import JSON_HELP, add_robots, chosen_robots, end_with, log_place, table
 from recorder.disk.log_names import PART_SUFFIX, SUFFIX
 from recorder.objects.address import is_address
 from recorder.reading.logs import Faults
 from recorder.reading.times import date_of, in_words
 from recorder.review.report.findings import iso
 from schemas.arguments import whole_number
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.reasons import Reason
 from schemas.settings import Settings
 

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import msgspec
 
-from recorder.cli.asking import JSON_HELP, add_period, end_with, find, needing_extra, progress_bar, table
+from recorder.cli.asking import JSON_HELP, add_period, end_with, find, progress_bar, table
 from recorder.cli.show import show
 from recorder.reading.logs import Faults
-from schemas.command_line import CommandError, ExitCode, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.settings import Settings
 
 EXAMPLE: Final = """  cruiser review query 'SELECT log_time, kind, text FROM safety_event' logs

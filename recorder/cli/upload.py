@@ -14,7 +14,7 @@ from recorder.cli.show import show
 from recorder.disk.files import UploadNote
 from recorder.objects.address import shown_url
 from recorder.upload.finished import row_maker
-from schemas.command_line import CommandError, ExitCode, missing_extra, plain
+from schemas.command_line import CommandError, ExitCode, needing_extra, plain
 from schemas.peers import RateLimit
 from schemas.settings import Settings, UploadSettings
 
@@ -63,12 +63,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
         )
     if not directory.is_dir():
         raise CommandError(f"{plain(str(directory))} is no directory", ExitCode.USAGE)
-    try:
+    with needing_extra():
         import recorder.upload.uploader  # noqa: F401, PLC0415 - needs the extra 'upload'
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "obstore":
-            raise
-        raise missing_extra("obstore", "upload") from None
     with UploadNote(directory) as note:
         totals, is_there = asyncio.run(_upload(upload, directory, note, stopped, is_once=arguments.once))
     show(totals, _lines(totals), as_json=arguments.json)

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.cli.asking import needing_extra
 from recorder.layouts.attached import RobotKeys, layouts
 from recorder.zenoh.source import ZenohSource
 from schemas import keys
@@ -23,6 +22,7 @@ from schemas.command_line import (
     add_certificate_arguments,
     address,
     certificate_files,
+    needing_extra,
     plain,
 )
 from schemas.settings import Settings

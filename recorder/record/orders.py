@@ -18,9 +18,7 @@ from schemas.requests import Request
 
 REPLY_NS: Final = 2_000_000_000  # longest wait of a reply for the disk
 
-MARKS_AT_ONCE: Final = 6
-"""Marks in a burst: their incidents take disk space that incidents of faults may need."""
-
+MARKS_AT_ONCE: Final = 6  # marks in a burst: their incidents take disk space that incidents of faults may need
 MARK_EVERY_NS: Final = 300_000_000_000
 """Interval of further marks: a flood of them preserves at most a fifth of the recording."""
 

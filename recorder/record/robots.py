@@ -25,9 +25,7 @@ from schemas.subjects import BY_TYPE, KEPT_PIECE, SUBJECTS, TEXT_MAX_BYTES, Subj
 if TYPE_CHECKING:
     from recorder.record.signed_mode import StatementProofs
 
-METADATA_NAME: Final = "cruiser"
-"""Metadata record with the robots of a log; the last one in a file is valid."""
-
+METADATA_NAME: Final = "cruiser"  # metadata record with the robots of a log; the last one in a file is valid
 DEVICE_NAME: Final = "foxglove"
 """Metadata record by which Foxglove files a log under its robot; the last one in a file is valid.
 
