@@ -1,5 +1,6 @@
 """The gateway's health, each second, and the whole robot in one message."""
 
+from enum import Enum
 from typing import Any, Final
 
 import msgspec
@@ -14,7 +15,26 @@ from gateway.telemetry.health import (
     Links,
     robot_state,
 )
-from schemas.messages import Body, GatewayHealth, Mode, Variant, WheelPulse, WheelSpeed
+from schemas.messages import (
+    Body,
+    Braking,
+    BrakingStatus,
+    Drive,
+    Feedback,
+    GatewayHealth,
+    Gear,
+    GearPosition,
+    Light,
+    Mode,
+    Parking,
+    ParkingStatus,
+    RobotState,
+    Speaker,
+    Steering,
+    Variant,
+    WheelPulse,
+    WheelSpeed,
+)
 
 SECOND_NS = 10**9
 
@@ -58,38 +78,89 @@ def test_strangers_are_counted_by_name_up_to_a_number() -> None:
 
 COMMON: Final[dict[str, Any]] = {"time_ns": 1, "sequence": 2, "alive_counter": 3}
 
+AT_REST: Final[list[Feedback]] = [
+    Gear(active=False, gear_position=GearPosition.PARK, **COMMON),
+    Steering(active=False, angle_deg=0.0, **COMMON),
+    Drive(active=False, speed_mps=0.0, **COMMON),
+    Braking(active=False, braking_status=BrakingStatus.RELEASED, **COMMON),
+    Parking(active=False, parking_status=ParkingStatus.RELEASED, **COMMON),
+    WheelSpeed(valid=True, rear_left_speed_mps=0.0, rear_right_speed_mps=0.0, **COMMON),
+    WheelPulse(valid=True, rear_left_pulses=0, rear_right_pulses=0, **COMMON),
+    Body(valid=True, total_mileage_km=0.0, front_bumper=False, rear_bumper=False, mode=Mode.STOP, **COMMON),
+    Light(headlamp=False, right_indicator=False, left_indicator=False, **COMMON),
+    Speaker(horn=False, **COMMON),
+]
+"""A message of each class in which every signal is off, 0 or at rest."""
+
+
+def another(value: object) -> object:
+    """A value of the same type that no message at rest has."""
+    match value:
+        case bool():
+            return not value
+        case Enum():
+            return next(one for one in type(value) if one not in {value, getattr(type(value), "UNDEFINED", None)})
+        case int():
+            return 7
+    return 0.04
+
+
+SIGNALS: Final = [
+    (type(message), name, another(getattr(message, name)))
+    for message in AT_REST
+    for name in message.__struct_fields__
+    if name in {*RobotState.__struct_fields__} - {*COMMON}
+]
+"""The class, its field, which is also that of the state, and another value."""
+
+FIELDS: Final = [name for _, name, _ in SIGNALS]
+
+
+def test_the_state_has_the_signals_of_all_messages() -> None:
+    derived = {*COMMON, "bus_up", "variant", "silent", "yaw_rate_radps"} - {"alive_counter"}
+    assert sorted(FIELDS) == sorted({*RobotState.__struct_fields__} - derived)
+
+
+def state_of(messages: list[Feedback]) -> RobotState:
+    return robot_state(
+        LatestMessages(messages),
+        wheelbase_m=CHASSIS.wheelbase_m,
+        time_ns=1,
+        sequence=2,
+        bus_up=True,
+        variant=Variant.COARSE,
+        silent=[],
+    )
+
+
+def at_rest_but(kind: type[Feedback], **values: object) -> list[Feedback]:
+    return [
+        msgspec.structs.replace(message, **values) if isinstance(message, kind) else message for message in AT_REST
+    ]
+
+
+def differing(one: RobotState, other: RobotState) -> dict[str, Any]:
+    return {
+        name: getattr(one, name)
+        for name in RobotState.__struct_fields__
+        if getattr(one, name) != getattr(other, name)
+    }
+
+
+@pytest.mark.parametrize(("kind", "field", "value"), SIGNALS, ids=FIELDS)
+def test_a_field_is_its_own_signal(kind: type[Feedback], field: str, value: object) -> None:
+    assert differing(state_of(at_rest_but(kind, **{field: value})), state_of(AT_REST)) == {field: value}
+    state = state_of([message for message in AT_REST if not isinstance(message, kind)])
+    assert getattr(state, field) is getattr(type(value), "UNDEFINED", None)
+
 
 @pytest.mark.parametrize(
-    ("message", "fields"),
+    ("kind", "unknown"),
     [
-        (
-            WheelSpeed(valid=False, rear_left_speed_mps=1.0, rear_right_speed_mps=1.0, **COMMON),
-            "rear_left_speed_mps rear_right_speed_mps",
-        ),
-        (
-            WheelPulse(valid=False, rear_left_pulses=7, rear_right_pulses=7, **COMMON),
-            "rear_left_pulses rear_right_pulses",
-        ),
-        (
-            Body(valid=False, total_mileage_km=1.0, front_bumper=True, rear_bumper=True, mode=Mode.AUTO, **COMMON),
-            "total_mileage_km front_bumper rear_bumper mode",
-        ),
+        (WheelSpeed, {"rear_left_speed_mps": None, "rear_right_speed_mps": None}),
+        (WheelPulse, {"rear_left_pulses": None, "rear_right_pulses": None}),
+        (Body, {"mode": Mode.UNDEFINED, "total_mileage_km": None, "front_bumper": None, "rear_bumper": None}),
     ],
-    ids=lambda one: type(one).__name__,
 )
-def test_what_is_marked_invalid_is_unknown(message: WheelSpeed | WheelPulse | Body, fields: str) -> None:
-    def state_of(message: WheelSpeed | WheelPulse | Body) -> list[object]:
-        state = robot_state(
-            LatestMessages([message]),
-            wheelbase_m=CHASSIS.wheelbase_m,
-            time_ns=1,
-            sequence=2,
-            bus_up=True,
-            variant=Variant.COARSE,
-            silent=[],
-        )
-        return [getattr(state, field) for field in fields.split()]
-
-    assert set(state_of(message)) <= {None, Mode.UNDEFINED}
-    valid = msgspec.structs.replace(message, valid=True)
-    assert state_of(valid) == [getattr(valid, field) for field in fields.split()]
+def test_what_is_marked_invalid_is_unknown(kind: type[Feedback], unknown: dict[str, object]) -> None:
+    assert differing(state_of(at_rest_but(kind, valid=False)), state_of(AT_REST)) == unknown
