@@ -67,7 +67,7 @@ def link_line(state: SafetyState) -> str:
         words[0] += f" (p99 {_ms(state.link_age_p99_s)})"
     words.append(f"timeout {_ms(state.deadman_s)}")
     words.append(f"reaction distance {state.travel_delay_m:.2f} m")
-    words.append(f"speed limit by latency {state.travel_speed_limit_mps:.2f} m/s")
+    words.append(f"speed limit {state.travel_speed_limit_mps:.2f} m/s")
     return ", ".join(words)
 
 

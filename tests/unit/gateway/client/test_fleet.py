@@ -307,7 +307,7 @@ SHOWN: dict[str, Row] = {
         CLOSE,
         (
             "command latency 430 ms (p99 810 ms), timeout 1000 ms, reaction distance 0.71 m",
-            "reaction distance 0.71 m, speed limit by latency 0.70 m/s",
+            "reaction distance 0.71 m, speed limit 0.70 m/s",
         ),
         (),
     ),
