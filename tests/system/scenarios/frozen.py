@@ -40,7 +40,9 @@ LEFT_OUT: Final = {
     "safety/event": ("text",),
     "safety/state": ("stop_detail",),
 }
-"""Fields of a subject that no hash counts. Texts for people are among them: new words change no behaviour. Enter one here and freeze before it goes: its going changes nothing.
+"""Fields of a subject that no hash counts. Texts for people are among them: new words change no behaviour.
+
+Enter one here and freeze before it goes: its going changes nothing.
 
 The number of the command rules says nothing of what is done. A journal's inputs are hashed one by one, without
 checkpoints: these hold the attributes of the core, which may get other names.
