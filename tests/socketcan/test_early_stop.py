@@ -86,16 +86,15 @@ def test_a_gateway_that_starts_during_the_stop_leaves_it_to_it(
     left: Vcan, witness: Candump, tmp_path: Path
 ) -> None:
     endpoint = free_endpoint()
-    with (
-        early(left.name) as process,
-        gateway(left.name, endpoint, "--log-level", "info") as running,
-        operator(endpoint) as robot,
-    ):
-        wait_until(lambda: "done: the robot stands" in note(tmp_path))
-        assert process.wait(30) == 0
-        assert robot.wait_for(lambda state: Reason.GUARD in state.blocked_by, 30.0)
-        assert Reason.OTHER_COMMANDER not in robot.state().state.blocked_by
-        assert not [line for line in running.said if "other computer" in line]
+    with early(left.name) as process:
+        # A gateway reads the note once, when it starts: the stop has begun by then.
+        wait_until(lambda: note(tmp_path))
+        with gateway(left.name, endpoint, "--log-level", "info") as running, operator(endpoint) as robot:
+            wait_until(lambda: "done: the robot stands" in note(tmp_path))
+            assert process.wait(30) == 0
+            assert robot.wait_for(lambda state: Reason.GUARD in state.blocked_by, 30.0)
+            assert Reason.OTHER_COMMANDER not in robot.state().state.blocked_by
+            assert not [line for line in running.said if "other computer" in line]
     check_stop(witness)
 
 
