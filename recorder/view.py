@@ -4,7 +4,8 @@
 publish, call or set, with a status message. Each viewer has a ring of records, which drops the oldest.
 
 Channels without subscribers are not decoded. Channels of rare messages (events, decisions, gateway infos) are
-declared in advance, so that viewers can subscribe in time; later viewers get the newest message.
+declared in advance, so that viewers can subscribe in time; later viewers get the newest message, and the robot's
+outline.
 """
 
 from __future__ import annotations
@@ -27,7 +28,16 @@ from cryptography.x509 import load_pem_x509_certificates
 from foxglove.websocket import ChannelView, Client, ServerListener, StatusLevel
 
 from recorder.encoding.routes import Route, keep_raw
-from recorder.encoding.samples import ReceivedSample, log_record
+from recorder.encoding.samples import ReceivedSample
+from recorder.encoding.viewers import (
+    LINES,
+    OUTLINES,
+    TRANSFORM_NS,
+    TRANSFORMS,
+    log_record,
+    outline_record,
+    transform_record,
+)
 from recorder.layouts.attached import RobotKeys
 from recorder.mcap.writer import LogChannel, log_time
 from recorder.record.accounting import ChannelQuota, Channels
@@ -37,7 +47,7 @@ from recorder.zenoh.source import ZenohSource
 from schemas import keys
 from schemas.command_line import CommandError, ExitCode, plain, shown_address
 from schemas.decisions import Decision, SafetyEvent
-from schemas.messages import GatewayInfo, Message
+from schemas.messages import GatewayInfo, Message, Odometry
 from schemas.settings import ROBOT_LIMIT
 from schemas.subjects import BY_TYPE
 
@@ -152,6 +162,15 @@ _SELDOM: Final = (SafetyEvent, Decision)
 _SHOWN_LATER: Final = frozenset({SafetyEvent, GatewayInfo})
 
 
+class _Pose:
+    """A robot's channel of transforms, and the time of the newest one."""
+
+    def __init__(self, robot: str, transforms: Route) -> None:
+        self.robot = robot
+        self.transforms = transforms
+        self.drawn_ns = -TRANSFORM_NS
+
+
 class LiveChannels:
     """The channels of robots' samples; ``left_out`` counts samples that are too large."""
 
@@ -165,6 +184,7 @@ class LiveChannels:
         self._changed: deque[RobotKeys] = deque(maxlen=ROBOT_LIMIT)
         self._newest: dict[int, tuple[int, bytes]] = {}
         """Log time and data of the newest record of each rare channel."""
+        self._poses: dict[str, _Pose] = {}  # by the key of the odometry
 
     @property
     def robots(self) -> frozenset[str]:
@@ -186,11 +206,13 @@ class LiveChannels:
         if len(sample.payload) + len(sample.attachment) > SAMPLE_MAX_BYTES:
             self.left_out += 1
             return
-        route = self._channels.get(sample.key) or self._find_route(sample.key, now_ns)
+        route = self._channels.get(sample.key) or self._find_route(sample, now_ns)
         if route.robot in self._received_ns:
             self._received_ns[route.robot] = now_ns
         is_shown_later = route.subject is not None and route.subject.type in _SHOWN_LATER
-        if not is_shown_later and not self._viewers.is_wanted(route.channel_id):
+        pose = self._poses.get(sample.key)
+        wanted = [route] if pose is None else [route, pose.transforms]
+        if not is_shown_later and not any(self._viewers.is_wanted(one.channel_id) for one in wanted):
             return
         log_ns = log_time(sample.received_ns)
         message = route.decode(sample)
@@ -211,16 +233,24 @@ class LiveChannels:
         if isinstance(message, GatewayInfo):
             self._robots.receive_info(route.robot, message, log_ns)
         elif isinstance(message, SafetyEvent):
-            line = self._channels.declare_line(key, ChannelQuota.TABLE)
+            line = self._channels.declare_shown(key, LINES, ChannelQuota.TABLE)
             if line is not None:
                 self._write(line, log_ns, log_record(message, _robot_of(key)), is_shown_later=True)
+        elif (
+            isinstance(message, Odometry)
+            and (pose := self._poses.get(key))
+            and not 0 <= message.time_ns - pose.drawn_ns < TRANSFORM_NS
+        ):
+            pose.drawn_ns = message.time_ns
+            self._write(pose.transforms, log_ns, transform_record(message, pose.robot), is_shown_later=False)
 
     def _write(self, route: Route, log_ns: int, data: bytes, *, is_shown_later: bool) -> None:
         if is_shown_later:
             self._newest[route.channel_id] = log_ns, data
         self._viewers.write(route.channel_id, log_ns, data)
 
-    def _find_route(self, key: str, now_ns: int) -> Route:
+    def _find_route(self, sample: ReceivedSample, now_ns: int) -> Route:
+        key = sample.key
         parts = keys.parse(key)
         if parts is None or not parts.robot:
             return self._channels.declare(key, None if parts is None else parts.subject, "")
@@ -233,12 +263,22 @@ class LiveChannels:
             self._changed.append(RobotKeys(f"{parts.root}/{parts.robot}"))
         if parts.bus:
             self._changed.append(RobotKeys(f"{parts.root}/{parts.robot}", parts.bus))
+        if parts.subject.type is Odometry:
+            self._draw(key, f"{parts.root}/{parts.robot}", log_time(sample.received_ns))
         return self._channels.declare(key, parts.subject, robot, ChannelQuota.TABLE)
+
+    def _draw(self, key: str, robot: str, log_ns: int) -> None:
+        """Show a robot's outline, and its pose from now on."""
+        transforms = self._channels.declare_shown(key, TRANSFORMS, ChannelQuota.TABLE)
+        outlines = self._channels.declare_shown(key, OUTLINES, ChannelQuota.TABLE)
+        if transforms is not None and outlines is not None:
+            self._poses[key] = _Pose(robot, transforms)
+            self._write(outlines, log_ns, outline_record(log_ns, robot), is_shown_later=True)
 
     def _declare_seldom(self, root: str, robot: str, name: str) -> None:
         for kind in _SELDOM:
             self._channels.declare(keys.build(root, robot, BY_TYPE[kind]), BY_TYPE[kind], name, ChannelQuota.TABLE)
-        self._channels.declare_line(keys.build(root, robot, BY_TYPE[SafetyEvent]), ChannelQuota.TABLE)
+        self._channels.declare_shown(keys.build(root, robot, BY_TYPE[SafetyEvent]), LINES, ChannelQuota.TABLE)
 
 
 def _robot_of(key: str) -> str:

@@ -21,6 +21,12 @@ Bytes = Annotated[int, Meta(ge=0, le=2**63 - 1, extra_json_schema=unit_keyword("
 LOG_CHUNK: Final = "log"
 """In a log, the topic ``{key}/log`` repeats the events of a key as text, for viewers."""
 
+TRANSFORM_CHUNK: Final = "tf"
+"""Beside ``chassis/odometry``, ``{key}/tf`` has the robot's pose as a transform, for viewers."""
+
+OUTLINE_CHUNK: Final = "outline"
+"""Beside ``chassis/odometry``, ``{key}/outline`` has the robot's shape, for viewers."""
+
 RAW_CHUNK: Final = "@raw"
 """In a log, the topic ``{key}/@raw`` holds samples that could not be decoded: viewers want a schema a topic."""
 

@@ -34,6 +34,8 @@ PANELS: Final = {
 
 _PATH: Final = re.compile(r'"([^"]+)"\.(\w+)')  # topic and field of a Foxglove message path without a modifier
 
+_EYE_M: Final = (-5, -4, 4)  # the camera's place: behind the robot, right and above
+
 _SCALARS: Final = "Scalars:scalars"
 _STATE: Final = "StateChange:state"
 
@@ -76,14 +78,29 @@ def save_blueprint(robot: RobotKeys, application: str, path: Path) -> None:
         row_shares=[2.5, 2.5, 1.5, 3.5],
     )
     texts = blueprints.Vertical(
+        _scene(robot),
         blueprints.TextLogView(origin=f"/{robot.key}/safety/event/log", name="events"),
         _plot("tick lateness, ms", lines["lateness"]),
-        row_shares=[3, 1],
+        row_shares=[3, 3, 1],
     )
     layout = blueprints.Horizontal(rows, texts, column_shares=[3, 2])
     time_panel = blueprints.TimePanel(timeline="message_log_time", state="collapsed")
     made = blueprints.Blueprint(layout, time_panel, collapse_panels=True)
     made.save(application, path)
+
+
+def _scene(robot: RobotKeys) -> blueprints.Spatial3DView:
+    """The robot's frame as axes, x forward: rerun draws no outline of ours."""
+    frames = f"/{robot.key}/chassis/odometry/tf"
+    axes = rerun.TransformAxes3D(1.0).visualizer()
+    return blueprints.Spatial3DView(
+        origin="/",
+        contents=[frames],
+        name="the robot by its odometry; x (red) is forward",
+        overrides={frames: axes},
+        spatial_information=blueprints.SpatialInformation(f"{robot.key}/odom"),
+        eye_controls=blueprints.EyeControls3D(position=_EYE_M, look_target=(0, 0, 0), tracking_entity=frames),
+    )
 
 
 def _plot(title: str, lines: Sequence[ChartLine]) -> blueprints.TimeSeriesView:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import re
 import zlib
 from array import array
 from collections import Counter
@@ -54,6 +55,20 @@ class LogChannel(msgspec.Struct, frozen=True):
 
 NO_LIMIT: Final = 2**63
 INT64_MAX: Final = 2**63 - 1  # latest time in a log: many readers take MCAP's unsigned times for signed ones
+
+
+_OURS: Final = re.compile(r"(cruiser(?:\.[a-z]+)?)\.[0-9]+")
+
+
+def numbered(name: str, count: int) -> str:
+    """The name of a file's ``count``-th metadata record of a name: ``cruiser``, ``cruiser.2``, ..."""
+    return f"{name}.{count}" if count > 1 and _OURS.fullmatch(f"{name}.{count}") else name
+
+
+def unnumbered(name: str) -> str:
+    """The name of a metadata record without its number."""
+    found = _OURS.fullmatch(name)
+    return name if found is None else found[1]
 
 
 def log_time(time_ns: int) -> int:
@@ -309,6 +324,7 @@ class McapFile:
 
     def __init__(self, stream: LogStream, library: str, profile: str = "") -> None:
         self._is_finished = False
+        self._metadata: Counter[str] = Counter()  # records by name
         self._stream = stream
         self._size = 0
         self._data_crc = 0
@@ -390,7 +406,9 @@ class McapFile:
         self._summary.add_attachment(record, start, len(encoded))
 
     def add_metadata(self, name: str, entries: dict[str, str]) -> None:
-        record = records.Metadata(name=name, metadata=entries)
+        """Write a metadata record. A further one of ours of that name gets a number: rerun wants each key once."""
+        self._metadata[name] += 1
+        record = records.Metadata(name=numbered(name, self._metadata[name]), metadata=entries)
         encoded, start = encode(record), self._size
         self._write(checked(encoded))
         self._summary.add_metadata(record, start, len(encoded))

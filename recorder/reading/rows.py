@@ -34,6 +34,7 @@ from recorder.mcap.reader import (
     record_at,
 )
 from recorder.mcap.summary_reader import LogSummary, read_summary
+from recorder.mcap.writer import unnumbered
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.topics import UNREADABLE, Declared, Topic, key_of
 from schemas import keys
@@ -167,7 +168,7 @@ class BlockReader:
                 case MessageBlock():
                     yield piece, None
                 case records.Metadata():
-                    self.metadata.append((piece.name, piece.metadata))
+                    self.metadata.append((unnumbered(piece.name), piece.metadata))
                 case records.Attachment():
                     self.attachments.append(piece)
                 case Fault() if piece.cuts and self._is_being_written:
@@ -297,7 +298,7 @@ def read_contents(stream: BinaryIO) -> Contents | None:
     for one in summary.metadata:
         record = _record(stream, one.offset, records.Metadata)
         if record is not None and record.name == one.name:
-            contents.metadata.append((record.name, record.metadata))
+            contents.metadata.append((unnumbered(record.name), record.metadata))
         else:
             contents.fault(one.offset, f"the metadata {one.name} is not where the summary says")
     return contents
@@ -379,7 +380,7 @@ def _take(contents: Contents, piece: Piece) -> None:
         case records.Attachment():
             contents.attachments.append((piece.name, piece.media_type, len(piece.data)))
         case records.Metadata():
-            contents.metadata.append((piece.name, piece.metadata))
+            contents.metadata.append((unnumbered(piece.name), piece.metadata))
         case End():
             contents.has_ended = True
         case Fault():

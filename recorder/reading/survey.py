@@ -11,6 +11,7 @@ from mcap import records
 
 from recorder.mcap.reader import DamagedError, record_at
 from recorder.mcap.summary_reader import read_summary
+from recorder.mcap.writer import unnumbered
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import LogReader, Selection, no_topic, read_rows
 from recorder.reading.topics import UNREADABLE, Declared, Topic
@@ -62,7 +63,7 @@ def _by_summary(stream: BinaryIO, log: LogFile, found: Survey) -> bool:
             for _, topic in Declared(log.namesakes).take_summary(summary):
                 found.topics.setdefault(topic.name, topic)
             found.attachments += filter(None, attachments)
-            found.metadata += [(one.name, one.metadata) for one in metadata if one is not None]
+            found.metadata += [(unnumbered(one.name), one.metadata) for one in metadata if one is not None]
             return True
     return False
 

@@ -35,7 +35,7 @@ from recorder.mcap.summary_reader import LogSummary
 from schemas import keys
 from schemas.can_word import snake_case
 from schemas.codec import member_of
-from schemas.recording import LOG_CHUNK, RAW_CHUNK
+from schemas.recording import LOG_CHUNK, OUTLINE_CHUNK, RAW_CHUNK, TRANSFORM_CHUNK
 
 RENAMED: Final = {"REASON_TICK_UNKNOWN": "REASON_CHALLENGE_UNKNOWN"}
 """Values of enumerations with another name in older logs."""
@@ -124,7 +124,7 @@ Decode = Callable[[bytes], Any]
 
 DECODERS_KEPT: Final = 256
 
-_SIDE_CHUNKS: Final = (LOG_CHUNK, RAW_CHUNK)
+_SIDE_CHUNKS: Final = (LOG_CHUNK, TRANSFORM_CHUNK, OUTLINE_CHUNK, RAW_CHUNK)
 """The last chunks of topics beside the topic of a key."""
 
 _BY_SCHEMA: Final = {schema_name(kind): kind for kind in LOGGED}

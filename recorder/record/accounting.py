@@ -1,6 +1,7 @@
 """The channels of a log, and its counts of samples sent, received, written and lost. Pure.
 
-Samples and event lines (``KEY/log``) have two maps, both by key: a sample published as ``KEY/log`` is no line.
+Samples and records for viewers (``KEY/log``, ``KEY/tf``, ...) have two maps, both by key: a sample published as
+``KEY/log`` is no line.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ import msgspec
 
 from recorder.encoding.protobuf import descriptor_set, schema_name
 from recorder.encoding.routes import Route
-from recorder.encoding.samples import SCHEMA_DATA, SCHEMA_NAME, KeyCounters
+from recorder.encoding.samples import KeyCounters
+from recorder.encoding.viewers import SHOWN, Shown
 from recorder.mcap.writer import LogChannel, log_time
 from schemas.keys import KEY_MAX_LENGTH
-from schemas.recording import LOG_CHUNK, RAW_CHUNK, GapReason, RecordGap
+from schemas.recording import RAW_CHUNK, GapReason, RecordGap
 from schemas.settings import CHANNEL_LIMIT, TABLE_CHANNEL_LIMIT
 from schemas.subjects import Subject
 
@@ -133,7 +135,7 @@ class LossReport:
 
 OVERFLOW_TOPIC: Final = "@more"  # the topic that all keys beyond the limit share
 
-RESERVED_LINE_CHUNK: Final = "@log"
+RESERVED_CHUNKS: Final = {shown.chunk: f"@{shown.chunk}" for shown in SHOWN}
 """Event lines go to ``{key}/@log`` where ``{key}/log`` is a sample's key; no sample's key ends so."""
 
 
@@ -154,7 +156,7 @@ class Channels:
     def __init__(self, declare: Callable[[LogChannel], None]) -> None:
         self._declare = declare
         self._by_key: dict[str, Route] = {}
-        self._lines: dict[str, Route] = {}  # by the key of the events
+        self._shown: dict[tuple[str, str], Route] = {}  # by the key of the samples, and the chunk
         self._by_topic: dict[str, Route] = {}
         # By channel id, from 1.
         self._by_id: list[Route] = []
@@ -193,7 +195,7 @@ class Channels:
         if route is None:
             if len(key) > KEY_MAX_LENGTH or not self._use(quota):
                 return self._add(OVERFLOW_TOPIC, None, "")
-            topic = f"{key}/{RAW_CHUNK}" if self._is_line(key) else key
+            topic = f"{key}/{RAW_CHUNK}" if self._is_shown(key) else key
             route = self._by_key[key] = self._add(topic, subject, robot)
         return route
 
@@ -201,15 +203,15 @@ class Channels:
         """The route of a known key's undecodable samples."""
         return self.declare(f"{key}/{RAW_CHUNK}", None, "")
 
-    def declare_line(self, key: str, quota: ChannelQuota) -> Route | None:
-        """The route of a key's event lines; None if the quotas are used up."""
-        route = self._lines.get(key)
+    def declare_shown(self, key: str, shown: Shown, quota: ChannelQuota) -> Route | None:
+        """The route of the records for viewers beside a key; None if the quotas are used up."""
+        route = self._shown.get((key, shown.chunk))
         if route is None and self._use(quota):
-            topic = f"{key}/{LOG_CHUNK}"
+            topic = f"{key}/{shown.chunk}"
             if topic in self._by_topic:
-                topic = f"{key}/{RESERVED_LINE_CHUNK}"
-            route = self._lines[key] = self._remember(topic, None, "")
-            self._declare(LogChannel(route.channel_id, topic, SCHEMA_NAME, SCHEMA_DATA))
+                topic = f"{key}/{RESERVED_CHUNKS[shown.chunk]}"
+            route = self._shown[key, shown.chunk] = self._remember(topic, None, "")
+            self._declare(LogChannel(route.channel_id, topic, shown.schema_name, shown.schema_data))
         return route
 
     def lose_written(self, counts: Mapping[int, int], reason: GapReason | None) -> dict[str, int]:
@@ -223,10 +225,10 @@ class Channels:
             topics[self._topics[channel_id - 1]] = count
         return topics
 
-    def _is_line(self, topic: str) -> bool:
-        """True if a topic is one of event lines, or reserved for them."""
+    def _is_shown(self, topic: str) -> bool:
+        """True if a topic is one of records for viewers, or reserved for them."""
         key, _, chunk = topic.rpartition("/")
-        return chunk == RESERVED_LINE_CHUNK or (chunk == LOG_CHUNK and key in self._lines)
+        return chunk in RESERVED_CHUNKS.values() or (key, chunk) in self._shown
 
     def _use(self, quota: ChannelQuota) -> bool:
         """Use one more channel of a quota, or else of OTHER. False if both are full."""

@@ -14,8 +14,19 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from recorder.encoding.routes import FastPath, Record, Route, keep_raw
-from recorder.encoding.samples import SEQUENCE_SPAN, ReceivedSample, log_record
+from recorder.encoding.routes import FastPath, Latest, Record, Route, keep_raw
+from recorder.encoding.samples import SEQUENCE_SPAN, ReceivedSample
+from recorder.encoding.viewers import (
+    LINES,
+    OUTLINE_NS,
+    OUTLINES,
+    TRANSFORM_NS,
+    TRANSFORMS,
+    Shown,
+    log_record,
+    outline_record,
+    transform_record,
+)
 from recorder.mcap.writer import ChunkBuilder, LogChannel, log_time
 from recorder.record.accounting import (
     COMPLETENESS_NAME,
@@ -51,7 +62,7 @@ from schemas import keys
 from schemas.codec import names_schema
 from schemas.command_line import short
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, SignedStatement
-from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, RobotState
+from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, Odometry, RobotState
 from schemas.recording import GapReason, RecorderEvent, RecordGap
 from schemas.settings import OWNED_KEY_LIMIT
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
@@ -132,6 +143,18 @@ class LogContext:
         self.announcements: deque[Announcement] = deque(maxlen=ANNOUNCEMENTS_MAX)
 
 
+_ODOMETRY: Final = BY_TYPE[Odometry].name
+
+
+class _Pose:
+    """A robot as viewers have it: the times of its newest transform and of its outline."""
+
+    def __init__(self, latest: Latest) -> None:
+        self.latest = latest
+        self.drawn_ns = self.outlined_ns = -OUTLINE_NS
+        self.outlined_in = 0  # the number of the file
+
+
 class RobotLog:
     """The log of one robot, or the one log of all."""
 
@@ -148,6 +171,7 @@ class RobotLog:
         self._counted: dict[str, KeyReport] = {}
         """Reports at the end of the previous file, from which the next one counts."""
         self._fast_keys: list[str] = []  # its keys that take the fast path, while a file is written
+        self._poses: dict[str, _Pose] = {}  # by the key of the odometry
         self._pending_events: deque[tuple[str, RecorderEvent]] = deque(maxlen=PENDING_EVENTS_MAX)
         self._pending_gaps = LossReport(PENDING_GAPS_MAX)
         self._versions_said: set[str] = set()
@@ -284,12 +308,38 @@ class RobotLog:
     def _add_line(
         self, key: str, event: SafetyEvent | RecorderEvent, now_ns: int, log_ns: int, quota: ChannelQuota
     ) -> None:
-        route = self.channels.declare_line(key, quota)
-        if route is None:
-            return
         parts = keys.parse(key)
         name = (parts.robot or parts.recorder) if parts else key
-        self._add(route, event.sequence, now_ns, log_ns, [(event.time_ns, log_record(event, name))])
+        self._add_shown(key, LINES, event, now_ns, log_ns, log_record(event, name), quota)
+
+    def _add_shown(
+        self, key: str, shown: Shown, message: Message, now_ns: int, log_ns: int, data: bytes, quota: ChannelQuota
+    ) -> None:
+        """Append what viewers draw of a message."""
+        route = self.channels.declare_shown(key, shown, quota)
+        if route is not None:
+            self._add(route, message.sequence, now_ns, log_ns, [(message.time_ns, data)])
+
+    def _draw(self, now_ns: int) -> None:
+        """Append the newest pose of each robot, and its outline once a file and every ``OUTLINE_NS``.
+
+        At ticks: odometry itself takes the fast path.
+        """
+        if not self.is_open and not self.is_paused:
+            return
+        for key, pose in self._poses.items():
+            newest = pose.latest.message
+            if not isinstance(newest, Odometry) or 0 <= newest.time_ns - pose.drawn_ns < TRANSFORM_NS:
+                continue
+            robot = key.removesuffix(f"/{_ODOMETRY}")
+            log_ns, quota = pose.latest.log_ns, ChannelQuota.TABLE
+            if pose.outlined_in != self._files or log_ns - pose.outlined_ns >= OUTLINE_NS:
+                pose.outlined_in, pose.outlined_ns = self._files, log_ns
+                outline = outline_record(newest.time_ns, robot)
+                self._add_shown(key, OUTLINES, newest, now_ns, log_ns, outline, quota)
+            pose.drawn_ns = newest.time_ns
+            transform = transform_record(newest, robot)
+            self._add_shown(key, TRANSFORMS, newest, now_ns, log_ns, transform, quota)
 
     def _watch(self, sample: ReceivedSample, message: Message, route: Route, now_ns: int, log_ns: int) -> None:
         """Act on a message that concerns the recorder itself."""
@@ -343,12 +393,16 @@ class RobotLog:
         robot = self.robots.see(parts.root, parts.robot, now_ns)
         self._backlog.see(parts.root, parts.robot, now_ns)
         quota = ChannelQuota.TABLE if self.robots.has_quota(robot, parts.bus) else ChannelQuota.OTHER
-        return self.channels.declare(key, parts.subject, robot, quota)
+        route = self.channels.declare(key, parts.subject, robot, quota)
+        if parts.subject.type is Odometry and quota is ChannelQuota.TABLE:
+            self._poses[key] = _Pose(route.latest)
+        return route
 
     # Chunks and files
 
     def tick(self, now_ns: int, file_bytes: int = 0) -> None:
         self.statements.tick()
+        self._draw(now_ns)
         if self._at_risk_since_ns is None and len(self._chunk):
             # Samples that took the fast path since the last tick.
             self._at_risk_since_ns = self._received_ns = now_ns

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from gateway.chassis.layout import MessageLayout
 from gateway.choice.frame_layouts import COMMON
 from recorder.encoding.protobuf import LOGGED, descriptor_set, schema_name
-from recorder.encoding.samples import RESTART_STEP, SCHEMA_DATA, SCHEMA_NAME, SEQUENCE_SPAN
+from recorder.encoding.samples import RESTART_STEP, SEQUENCE_SPAN
+from recorder.encoding.viewers import SHOWN
 from recorder.mcap.arrays import Bytes, Numbers, Places
 from recorder.reading.topics import UNREADABLE, foreign_decoder, means_the_same, topic_of, typed_decoder
 from recorder.review.columns import LOG_TIME, Decoder, columns_of
@@ -41,7 +42,7 @@ Proof = Callable[[Bytes, Places], Sequence[int]]
 
 _OURS: Final = {
     **{schema_name(kind): (kind, descriptor_set(kind)) for kind in LOGGED},
-    SCHEMA_NAME: (None, SCHEMA_DATA),
+    **{shown.schema_name: (None, shown.schema_data) for shown in SHOWN},
 }
 """Schemas of this version: class, if it is one of ours, and schema."""
 

@@ -24,6 +24,7 @@ from mcap import records
 
 from recorder.disk.log_names import SIGNATURE_SUFFIX
 from recorder.mcap.reader import read_pieces
+from recorder.mcap.writer import unnumbered
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import Progress
 from recorder.reading.topics import UNREADABLE
@@ -434,7 +435,7 @@ def file_statements(logs: Sequence[LogFile], faults: Faults) -> Iterator[ShownSt
                 found = [
                     one.metadata
                     for one in pieces
-                    if isinstance(one, records.Metadata) and one.name == STATEMENTS_NAME
+                    if isinstance(one, records.Metadata) and unnumbered(one.name) == STATEMENTS_NAME
                 ]
         except OSError as error:
             faults.add(f"{log.path}: {error.strerror or error}")

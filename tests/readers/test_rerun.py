@@ -25,6 +25,7 @@ from schemas.subjects import BY_NAME
 from tests.bench.recorder_load import make_script
 from tests.support.fakes.recording import RECORDER_PLAN, FakeSource
 from tests.support.messages import WALL_NS, FakeSample, info, safety_event, sample_of
+from tests.support.rigs.scenarios import acted, front_bumper
 
 TICKS = 200
 
@@ -112,7 +113,7 @@ def _place(one: Logged) -> tuple[Any, ...]:
 def test_rerun_draws_what_the_blueprint_names(log: Path, tmp_path: Path) -> None:
     """Each field that it draws is a number or a text in the log."""
     blueprint = tmp_path / "layout.rerun.rbl"
-    python = Path(os.environ["READERS_PYTHON"])
+    python = Path(os.environ["READERS_PYTHON"]).absolute()
     packages = Path(msgspec.__file__).parents[1]
     project = Path(__file__).parents[2]
     script = Path(__file__).with_name("with_blueprint.py")
@@ -123,3 +124,33 @@ def test_rerun_draws_what_the_blueprint_names(log: Path, tmp_path: Path) -> None
     assert len(lines) == 21
     assert [(topic, field) for topic, field, drawn in lines if drawn not in DRAWN] == []
     subprocess.run([python.with_name("rerun"), "rrd", "verify", blueprint], check=True, capture_output=True)
+
+
+FRAMES = """
+import json, sys
+from rerun.chunk import McapReader
+for chunk in McapReader(sys.argv[1]).stream():
+    rows = chunk.to_record_batch().to_pylist()
+    if chunk.entity_path.endswith("/tf") and "Transform3D:child_frame" in rows[0]:
+        names = ("Transform3D:parent_frame", "Transform3D:child_frame")
+        print(json.dumps([[row[name][0] for name in names] for row in rows]))
+"""
+
+
+def test_rerun_sees_the_robots_frames_and_warns_of_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    log.write_bytes(acted(front_bumper).log(ticks=True))
+    python = Path(os.environ["READERS_PYTHON"]).absolute()
+    done = subprocess.run([python, "-c", FRAMES, log], capture_output=True, text=True, check=True)
+    found = [pair for line in done.stdout.splitlines() for pair in json.loads(line)]
+    assert len(found) > 20
+    assert all(pair == ["fleet/cruiser-1/odom", "fleet/cruiser-1/base_link"] for pair in found)
+    convert = [
+        str(python.with_name("rerun")),
+        "mcap",
+        "convert",
+        str(log),
+        *("--application-id", "a", "-o", "log.rrd"),
+    ]
+    done = subprocess.run(convert, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert "WARN" not in done.stdout + done.stderr

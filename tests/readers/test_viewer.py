@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from tests.support.processes.desk import chromium
 from tests.support.processes.gateway import Running
-from tests.support.rigs.scenarios import front_bumper, recorded
+from tests.support.rigs.scenarios import acted, front_bumper
 
 BUILT: Final = Path(__file__).parent / "viewer" / "build"
 
@@ -44,7 +44,7 @@ def viewer() -> Iterator[str]:
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("logs") / "a drive.mcap"
-    path.write_bytes(recorded(front_bumper))
+    path.write_bytes(acted(front_bumper).log(ticks=True))
     return path
 
 
@@ -110,6 +110,9 @@ def test_every_message_of_a_served_log_is_read_as_the_mcap_package_reads_it(
 ) -> None:
     messages = [tuple(one) for one in read(0)["messages"]]
     assert len(messages) > 1000
+    assert {f"fleet/cruiser-1/chassis/odometry/{chunk}" for chunk in ("tf", "outline")} < {
+        one[0] for one in messages
+    }
     assert _ordered(messages) == _ordered(read_here(log, 0))
 
 

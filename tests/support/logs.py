@@ -14,8 +14,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from recorder.encoding.protobuf import compile_encoder, descriptor_set, schema_name
-from recorder.encoding.samples import SCHEMA_NAME as FOXGLOVE_LOG
 from recorder.encoding.samples import ReceivedSample
+from recorder.encoding.viewers import SHOWN
 from recorder.mcap.writer import Chunk as PackedMessages
 from recorder.mcap.writer import ChunkBuilder, LogChannel, McapFile
 from recorder.record.actions import QUERIES_PER_TICK, Action, LogAction, Opened, OpenLog, Query
@@ -231,10 +231,10 @@ def saved(path: Path, data: bytes) -> Path:
 
 
 def read_records(data: bytes, *, lines: bool = False) -> list[tuple[str, str, McapMessage, Any]]:
-    """Topic, schema, record and content of every message; ``lines`` adds the events' second form."""
+    """Topic, schema, record and content of every message; ``lines`` adds what is there for viewers."""
     reader = make_reader(BytesIO(data), validate_crcs=True, decoder_factories=[DecoderFactory()])
     return [
         (channel.topic, schema.name if schema else "", message, content)
         for schema, channel, message, content in reader.iter_decoded_messages(log_time_order=False)
-        if schema is not None and (lines or schema.name != FOXGLOVE_LOG)
+        if schema is not None and (lines or schema.name not in {shown.schema_name for shown in SHOWN})
     ]

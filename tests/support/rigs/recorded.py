@@ -108,8 +108,12 @@ class RecordedRig(GatewayRig):
         recorder_says: Sequence[RecorderEvent] = (),
         lag_ns: int = RECEIVED_NS,
         journal: Callable[[Journal], Journal] = lambda one: one,
+        ticks: bool = False,
     ) -> bytes:
-        """The log, received ``lag_ns`` after publication; ``journal`` changes each journal message first."""
+        """The log, received ``lag_ns`` after publication; ``journal`` changes each journal message first.
+
+        With ``ticks`` of the recorder it has transforms and outlines for viewers, too.
+        """
         log = Log()
         began_ns = self.recorded[0][0] if self.recorded else 0
         keys_of = {name: self._key(robot, name) for name in {sample.subject for _, sample in self.recorded}}
@@ -128,6 +132,8 @@ class RecordedRig(GatewayRig):
                 payload = codec.encode(journal(message))
             one = FakeSample(keys_of[sample.subject], subject.encoding, payload)
             log.receive(one, now_ns=at_ns - began_ns, wall_ns=log_ns)
+            if ticks:
+                log.tick(at_ns - began_ns)
         for said in recorder_says:
             log.add_own(keys.of_recorder(self.settings.robot.root, "bench", "event"), said, 0)
         return log.close()

@@ -7,6 +7,7 @@ import msgspec
 from mcap.reader import make_reader
 
 from recorder.encoding.samples import ReceivedSample
+from recorder.mcap.writer import unnumbered
 from recorder.record.actions import INCIDENT_MARK, DiskRoom
 from recorder.record.recorder import Recorder, RecorderPlan
 from recorder.record.robot_log import LogPlan
@@ -105,4 +106,4 @@ def times(file: MemoryFile, topic: str = GEAR_KEY) -> list[int]:
 
 def metadata(file: MemoryFile, name: str) -> list[dict[str, str]]:
     reader = make_reader(BytesIO(file.disk.getvalue()), validate_crcs=True)
-    return [one.metadata for one in reader.iter_metadata() if one.name == name]
+    return [one.metadata for one in reader.iter_metadata() if unnumbered(one.name) == name]

@@ -4,13 +4,14 @@ import msgspec
 import pytest
 
 from recorder.encoding.protobuf import descriptor_set
-from recorder.encoding.samples import SCHEMA_DATA, ReceivedSample
+from recorder.encoding.samples import ReceivedSample
+from recorder.encoding.viewers import LINES, outline_record
 from recorder.layouts.attached import RobotKeys
 from recorder.mcap.writer import LogChannel
 from recorder.record.actions import Query
 from recorder.view import SAMPLE_MAX_BYTES, SILENT_NS, LiveChannels, ViewServer
 from schemas.decisions import EventKind, SafetyEvent
-from schemas.messages import GatewayInfo, Gear, RawSample
+from schemas.messages import GatewayInfo, Gear, Odometry, RawSample
 from tests.support.logs import encoded
 from tests.support.messages import (
     WALL_NS,
@@ -90,7 +91,7 @@ def test_what_nobody_looks_at_is_declared_and_not_sent() -> None:
 
 def test_events_have_their_channels_before_the_first_one() -> None:
     _, viewers = shown(sample_of(gear(0)))
-    assert viewers.by_topic[f"{EVENT_KEY}/log"].schema_data == SCHEMA_DATA
+    assert viewers.by_topic[f"{EVENT_KEY}/log"].schema_data == LINES.schema_data
     assert EVENT_KEY in viewers.by_topic
 
 
@@ -103,6 +104,17 @@ def test_whoever_subscribes_later_is_shown_the_newest_of_what_comes_seldom(topic
     for channel_id in viewers.channels:
         channels.show_newest(channel_id)
     assert [(one, at_ns) for one, at_ns, _ in viewers.records] == [(topic, WALL_NS)]
+
+
+def test_a_pose_is_shown_to_whoever_wants_it_and_the_outline_to_latecomers_too() -> None:
+    poses = [Odometry(WALL_NS + number * 20_000_000, number, *[0.0] * 11) for number in range(5)]
+    key = key_of(Odometry)
+    channels, viewers = shown(*map(sample_of, poses), wanted=(f"{key}/tf",))
+    assert [topic for topic, _, _ in viewers.records] == [f"{key}/tf"] * 2
+    viewers.wanted = (f"{key}/outline",)
+    for channel_id in viewers.channels:
+        channels.show_newest(channel_id)
+    assert viewers.records[2:] == [(f"{key}/outline", WALL_NS, outline_record(WALL_NS, "fleet/cruiser-1"))]
 
 
 def test_a_huge_sample_is_left_out_and_counted() -> None:

@@ -94,9 +94,11 @@ def test_what_is_shown_is_what_is_in_a_log_of_the_time(scene: Scene, tmp_path: P
         logged = {(channel.topic, message.data) for _, channel, message in reader.iter_messages()}
         speeds = [decoded.speed_mps for _, _, _, decoded in reader.iter_decoded_messages(topics=[STATE])]
     assert set(channels) == logged_channels
-    # Who the robot is, each asks for itself.
-    missing = {(one.topic, one.data) for one in seen if not one.topic.endswith("/gateway/info")} - logged
+    # Each asks for itself who the robot is, and draws odometry samples of its own choice.
+    own = ("/gateway/info", "/odometry/tf")
+    missing = {(one.topic, one.data) for one in seen if not one.topic.endswith(own)} - logged
     assert {topic for topic, _ in missing} == set()
+    assert any(one.topic.endswith("/odometry/tf") for one in seen)
     shown = [state_of(one.data).speed_mps for one in seen if one.topic == STATE]
     assert shown
     assert set(shown) <= set(speeds)

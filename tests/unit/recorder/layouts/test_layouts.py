@@ -10,10 +10,12 @@ import pytest
 from msgspec import inspect
 
 from recorder.encoding.protobuf import fields, message_class, optional_part
+from recorder.encoding.viewers import OUTLINES, TRANSFORMS, outline_record, transform_record
 from recorder.layouts.attached import COUNT, RobotKeys, layouts
 from recorder.record.actions import DeclareChannel
 from schemas.decisions import EventKind
 from schemas.keys import parse
+from schemas.messages import Odometry
 from tests.support.logs import Log
 from tests.support.messages import logged_topics, safety_event, sample_of
 
@@ -25,6 +27,7 @@ CONFIGURATIONS = {
     "RosOut": foxglove.layouts.LogConfig,
     "RawMessages": foxglove.layouts.RawMessagesConfig,
     "Table": foxglove.layouts.TableConfig,
+    "3D": foxglove.layouts.ThreeDeeConfig,
 }
 """Foxglove's own words for the configuration of each kind of panel."""
 
@@ -85,6 +88,16 @@ def test_events_are_listed() -> None:
     declared = {one.channel.topic: one.channel for one in log.done if isinstance(one, DeclareChannel)}
     (panel,) = (value for name, value in layout()["configById"].items() if name.startswith("RosOut"))
     assert declared[panel["topicToRender"]].schema_name == "foxglove.Log"
+
+
+def test_the_robot_is_drawn_in_its_frames() -> None:
+    key = "fleet/cruiser-1/chassis/odometry"
+    panel = layout()["configById"]["3D!robot"]
+    transform = TRANSFORMS.message.FromString(transform_record(Odometry(0, 0, *[0.0] * 11), ROBOT.key))
+    scene = OUTLINES.message.FromString(outline_record(0, ROBOT.key))
+    assert list(panel["topics"]) == [f"{key}/{OUTLINES.chunk}"]
+    assert panel["followTf"] == transform.child_frame_id == scene.entities[0].frame_id
+    assert panel["layers"]["grid"]["frameId"] == transform.parent_frame_id
 
 
 @pytest.mark.parametrize("bus", ["", 'a"b', "a/b"])

@@ -50,7 +50,7 @@ class Stored:
 
 FROZEN = {
     by_the_writer: "4879b5cf266c23fda7e5d724e29f0139aa86ae70e61acf519ff3fb3f819dfa7b",
-    by_a_recorder: "8739f1298622a693dfc8f60d07d85f1812038c94ac8a024b47f72d20992a2495",
+    by_a_recorder: "1f7af2901dc80ef1faec46592f816e7cec04a1e16491b2ae92c13c7340a9958d",
 }
 """SHA-256."""
 
