@@ -34,7 +34,7 @@ PANELS: Final = {
 
 _PATH: Final = re.compile(r'"([^"]+)"\.(\w+)')  # topic and field of a Foxglove message path without a modifier
 
-_EYE_M: Final = (-5, -4, 4)  # the camera's place: behind the robot, right and above
+_EYE_M: Final = (-4, -3.2, 3.2)  # the camera's place, 6 m away: behind the robot, right and above
 
 _SCALARS: Final = "Scalars:scalars"
 _STATE: Final = "StateChange:state"

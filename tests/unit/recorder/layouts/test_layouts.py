@@ -31,6 +31,8 @@ CONFIGURATIONS = {
 }
 """Foxglove's own words for the configuration of each kind of panel."""
 
+TITLES = {"foxglovePanelTitle", "lichtblickPanelTitle"}
+
 PATH = re.compile(r'"(?P<topic>[^"]+)"(?P<fields>(\.\w+)*)(\[:\])?(\.@negative)?')
 
 
@@ -72,7 +74,10 @@ def test_every_panel_is_arranged_once_and_of_a_kind_that_viewers_know() -> None:
     for name, configuration in found["configById"].items():
         known = CONFIGURATIONS[name.partition("!")[0]]
         words = json.loads(json.dumps(known()._to_dict(), default=lambda _: None))
-        assert configuration.keys() - {"foxglovePanelTitle"} <= words.keys(), name
+        titles = {word: title for word, title in configuration.items() if word in TITLES}
+        assert configuration.keys() - titles.keys() <= words.keys(), name
+        assert not titles or titles.keys() == TITLES, f"{name}: each viewer reads a title of its own"
+        assert len(set(titles.values())) <= 1, name
 
 
 def test_it_has_what_a_viewer_refuses_to_be_without() -> None:
