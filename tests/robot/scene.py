@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from gateway.chassis.cruiser.early_stop import FOUND
 from recorder.disk.log_names import INCIDENT_SUFFIX, PART_SUFFIX, SUFFIX
 from tests.robot.box import Box
 from tests.robot.outside import Life, Outside
@@ -28,7 +29,7 @@ PROCESSES: Final = {"gateway": "cruiser gateway", "guard": "guard_main", "record
 TOLD_S: Final = 2.0
 """At most from an interface that is up to zero speed told. Measured: docs/performance.md."""
 
-POWER_CUT: Final = {"latched": "early stop: the chassis was found", "not_shut_down": "lost its power"}
+POWER_CUT: Final = {"latched": FOUND, "not_shut_down": "lost its power"}
 """What ``cruiser doctor`` finds after a power cut in mid-drive."""
 
 LOST_S: Final = 1.5
@@ -63,6 +64,18 @@ def begin_drive(box: Box, outside: Outside) -> None:
         raise AssertionError(box.run("journalctl -b -u box-operator -u cruiser-gateway | tail -60")) from None
 
 
+def drive_and_signal(box: Box, outside: Outside, signal: str) -> float:
+    """Have the operator drive, then send the gateway a signal. Returns the time before it, by time.monotonic().
+
+    The shell sends it itself: systemctl takes the only processor so long that the deadman may end the drive first.
+    """
+    gateway = box.run("systemctl show --property=MainPID --value cruiser-gateway").strip()
+    begin_drive(box, outside)
+    begun_s = time.monotonic()
+    box.run(f"kill -{signal} {gateway}")
+    return begun_s
+
+
 def check_stays(outside: Outside, since_s: float, seconds: float = STAYS_S) -> None:
     """Check that nothing moved or was commanded to move since then, nor in the next seconds."""
     time.sleep(max(0.0, since_s + seconds - time.monotonic()))
@@ -73,7 +86,7 @@ def check_stays(outside: Outside, since_s: float, seconds: float = STAYS_S) -> N
 def check_latched(box: Box) -> None:
     said = box.run("cruiser why cruiser-1", check=False)
     say("cruiser why", " | ".join(said.split("\n")[:4]))
-    assert "cruiser reset" in said, said
+    assert "cruiser reset" in said, box.run("journalctl -b -u box-operator -u cruiser-gateway | tail -60")
 
 
 def check_doctor(box: Box, when: str, expected: Mapping[str, str], *, or_else: str = "") -> None:
@@ -127,7 +140,7 @@ def check_log(box: Box, last: Life, lost_s: float = LOST_S, *, log: str = "") ->
 
     Without ``log`` the recorder has to report the recovery.
     """
-    is_whole = f"[ -e {log} ]" if log else "journalctl -b -u cruiser-recorder | grep -q 'is whole now'"
+    is_whole = f"[ -e {log} ]" if log else "journalctl -b -u cruiser-recorder | grep -q 'log recovered as'"
     box.run(
         f"for i in $(seq {RECOVERED_S}); do {is_whole} && exit 0; sleep 1; done; "
         f"journalctl -b -u cruiser-recorder | tail -30; ls -l {LOGS}; df {LOGS}; cruiser record status; exit 1"

@@ -2,6 +2,7 @@
 
 import time
 
+from gateway.chassis.cruiser.early_stop import FOUND
 from tests.robot import scene
 from tests.robot.box import Box
 from tests.robot.outside import Outside
@@ -31,9 +32,7 @@ def test_a_power_cut_in_mid_drive(box: Box, outside: Outside) -> None:
     )
     assert zero_s - bus.at_s < scene.TOLD_S
     box.wait_up()
-    (found,) = [
-        entry for entry in box.journal("-b -u 'cruiser-early-stop@*'") if "found in auto" in entry["MESSAGE"]
-    ]
+    (found,) = [entry for entry in box.journal("-b -u 'cruiser-early-stop@*'") if FOUND in entry["MESSAGE"]]
     scene.say("power cut", f"zero speed was told by: {found['MESSAGE']}")
     ready = box.wait_status()
     scene.say("power cut", f"ready {time.monotonic() - begun_s:.1f} s after it was switched on: {ready}")
