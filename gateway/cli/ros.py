@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.ros.bridge import Bridge, RosChoice, shared_namespaces
+from gateway.ros.bridge import Bridge, RosChoice
 from gateway.zenoh.ros import Arrivals, RosSession
 from schemas import keys
 from schemas.arguments import add_zenoh_arguments, ending_after, operator_name, robot_names, seconds
@@ -75,8 +75,6 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     is_one = len(robots) == 1 and "*" not in robots[0]
     if arguments.namespace is not None and not is_one:
         raise CommandError("--namespace is for one robot", ExitCode.USAGE)
-    if same := shared_namespaces(robots):
-        raise CommandError(f"{', '.join(same)}: another robot has this namespace already", ExitCode.USAGE)
     choice = RosChoice(
         tuple(robots),
         arguments.namespace,

@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 from collections import deque
-from itertools import takewhile
 from math import copysign
 from random import Random
 from typing import Final
@@ -261,8 +260,11 @@ class LinkAge:
             self._recent_sum_ns -= recent.popleft()[1]
         if not recent:
             return None
-        newest = takewhile(lambda one: now_ns - one[0] <= LARGEST_NS, reversed(recent))
-        largest_ns = max((age_ns for _, age_ns in newest), default=0)
+        largest_ns = 0
+        for at_ns, age_ns in reversed(recent):
+            if now_ns - at_ns > LARGEST_NS:
+                break
+            largest_ns = max(largest_ns, age_ns)
         return max(self._recent_sum_ns // len(recent), largest_ns) + self._view_delay_ns
 
 

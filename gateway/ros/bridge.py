@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -21,7 +21,7 @@ from gateway.client.fleet import read_sample
 from gateway.client.remote_stop import stop_from_here
 from gateway.client.robot import CONNECT_TIMEOUT_S, RelayLease, Robot
 from gateway.ros import commands
-from gateway.ros.commands import CommandReader, RosCommand
+from gateway.ros.commands import CommandReader
 from gateway.telemetry.samples import Received
 from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
 from schemas.command_line import CommandError, short
@@ -132,8 +132,7 @@ class RobotBridge:
     def _command(self, received: Received, arrived_ns: int) -> None:
         """A drive command of the graph: passed on now, or dropped."""
         angle_deg = self._state.output_angle_deg if self._state is not None else 0.0
-        command = RosCommand(received.key, received.payload, received.attachment, arrived_ns)
-        set_point = self._reader.read(command, time.monotonic_ns(), time.time_ns(), angle_deg)
+        set_point = self._reader.read(received, arrived_ns, time.monotonic_ns(), time.time_ns(), angle_deg)
         if self._reader.note and (now_s := time.monotonic()) >= self._warn_s:
             self._warn_s = now_s + WARN_S
             log.warning("%s: a drive command of the graph: %s", self.name, self._reader.note)
@@ -349,9 +348,3 @@ class Bridge:
             if is_lost:
                 robot.let_go("the ROS 2 router is lost")
             robot.tick()
-
-
-def shared_namespaces(robots: Sequence[str]) -> list[str]:
-    """Robots whose names give one namespace."""
-    found: dict[str, str] = {}
-    return [name for name in robots if found.setdefault(wire.namespace_of(name), name) != name]

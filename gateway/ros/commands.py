@@ -10,9 +10,8 @@ from collections.abc import Collection
 from math import degrees, isfinite
 from typing import Any, Final
 
-import msgspec
-
 from gateway.client.link import SetPoint
+from gateway.telemetry.samples import Received
 from schemas.command_line import short
 from schemas.ros import types
 from schemas.ros.cdr import CdrError, decode
@@ -34,20 +33,6 @@ TOPICS: Final = {
 """The topics of drive commands, below a robot's namespace, with the types that are understood."""
 
 
-class RosCommand(msgspec.Struct, frozen=True):
-    """A message on one of these topics, not yet read.
-
-    Attributes:
-        attachment: rmw_zenoh's; it names the publisher.
-        arrived_ns: by this computer's monotonic clock.
-    """
-
-    key: str
-    payload: bytes
-    attachment: bytes
-    arrived_ns: int
-
-
 class CommandReader:
     """The drive commands of a robot's topics.
 
@@ -65,16 +50,18 @@ class CommandReader:
         self._last_ns = -RECENT_NS
         self._is_zero = True
 
-    def read(self, command: RosCommand, now_ns: int, wall_ns: int, angle_deg: float) -> SetPoint | None:
-        """The set point that a message asks for; None if it is dropped, and ``note`` says why.
+    def read(
+        self, command: Received, arrived_ns: int, now_ns: int, wall_ns: int, angle_deg: float
+    ) -> SetPoint | None:
+        """The set point that a message of TOPICS asks for; None if it is dropped, and ``note`` says why.
 
         Args:
-            now_ns: by the clock of ``arrived_ns``.
+            arrived_ns, now_ns: by this computer's monotonic clock.
             wall_ns: by this computer's clock, since 1970.
             angle_deg: the steering angle that is commanded now, which a turn on the spot keeps.
         """
-        if now_ns - command.arrived_ns > AGE_MAX_NS:
-            self.note = f"dropped: it waited {(now_ns - command.arrived_ns) / 1e9:.1f} s"
+        if now_ns - arrived_ns > AGE_MAX_NS:
+            self.note = f"dropped: it waited {(now_ns - arrived_ns) / 1e9:.1f} s"
             return None
         try:
             type_name = type_of(command.key)
@@ -86,7 +73,7 @@ class CommandReader:
         if attachment is None:
             self.note = "dropped: it has no attachment of rmw_zenoh, which names its publisher"
             return None
-        if wrong := _stamp_fault(message, wall_ns) or self._repeat_or_late(attachment, command.arrived_ns):
+        if wrong := _stamp_fault(message, wall_ns) or self._repeat_or_late(attachment, arrived_ns):
             self.note = wrong
             return None
         set_point, self.note = _set_point(type_name, message, angle_deg)

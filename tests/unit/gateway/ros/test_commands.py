@@ -5,9 +5,11 @@ from math import inf, nan, radians
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from gateway.client.link import SetPoint
-from gateway.ros.commands import AGE_MAX_NS, CommandReader, RosCommand
+from gateway.ros.commands import AGE_MAX_NS, CommandReader
+from gateway.telemetry.samples import Received
 from schemas.ros import types
 from schemas.ros.cdr import encode
 from schemas.ros.face import stamp
@@ -19,33 +21,42 @@ DAY_NS = 86_400_000_000_000
 HELD_DEG = 7.0
 ONE, OTHER = b"\1" * 16, b"\2" * 16
 
+Arrived = tuple[Received, int]
 
 SEQUENCE = count(1)
 
 
 def command(
     type_name: str, fields: dict[str, Any], gid: bytes = ONE, arrived_ns: int = NOW_NS, sent_ns: int = WALL_NS
-) -> RosCommand:
+) -> Arrived:
+    """A message of a topic, and when it arrived."""
     attachment = Attachment(next(SEQUENCE), sent_ns, gid).encode()
-    return RosCommand(key_of(0, "cruiser_1/cmd_vel", type_name), encode(type_name, fields), attachment, arrived_ns)
+    key = key_of(0, "cruiser_1/cmd_vel", type_name)
+    return Received(key, "", encode(type_name, fields), attachment), arrived_ns
 
 
 def twist(speed_mps: float, yaw_radps: float = 0.0) -> dict[str, Any]:
     return {"linear": {"x": speed_mps}, "angular": {"z": yaw_radps}}
 
 
-def stamped(stamp_ns: int, speed_mps: float = 0.5) -> RosCommand:
+def stamped(stamp_ns: int, speed_mps: float = 0.5) -> Arrived:
     return command(types.TWIST_STAMPED, {"header": {"stamp": stamp(stamp_ns)}, "twist": twist(speed_mps)})
 
 
-def ackermann(speed_mps: float, angle_rad: float) -> RosCommand:
+def ackermann(speed_mps: float, angle_rad: float) -> Arrived:
     return command(types.ACKERMANN, {"drive": {"speed": speed_mps, "steering_angle": angle_rad}})
 
 
-TWIST = command(types.TWIST, twist(0.5, 0.2))
+TWIST, _ = command(types.TWIST, twist(0.5, 0.2))
+
+
+def changed(**fields: str | bytes) -> Arrived:
+    return replace(TWIST, **fields), NOW_NS
+
+
 CASES = [
     # (message, set point or None, words of the note)
-    (TWIST, SetPoint(0.5, yaw_rate_radps=0.2), ""),
+    ((TWIST, NOW_NS), SetPoint(0.5, yaw_rate_radps=0.2), ""),
     (command(types.TWIST, twist(-0.5, 0.2)), SetPoint(-0.5, yaw_rate_radps=0.2), ""),
     (command(types.TWIST, twist(0.0)), SetPoint(0.0, angle_deg=HELD_DEG), ""),
     (command(types.TWIST, twist(0.0, 1.0)), SetPoint(0.0, angle_deg=HELD_DEG), "cannot turn on the spot"),
@@ -59,26 +70,20 @@ CASES = [
     (command(types.TWIST, twist(nan)), None, "not finite"),
     (command(types.TWIST, twist(0.5, inf)), None, "not finite"),
     (ackermann(0.5, nan), None, "not finite"),
-    (RosCommand(TWIST.key, TWIST.payload, b"", NOW_NS), None, "no attachment of rmw_zenoh"),
-    (RosCommand(TWIST.key, TWIST.payload[:-3], TWIST.attachment, NOW_NS), None, "it ends 3 bytes early"),
-    (RosCommand(TWIST.key, b"\0\0\0\0" + TWIST.payload[4:], TWIST.attachment, NOW_NS), None, "little-endian"),
-    (RosCommand(TWIST.key[:-1] + "0", TWIST.payload, TWIST.attachment, NOW_NS), None, "another version"),
-    (RosCommand("0/x/y", TWIST.payload, TWIST.attachment, NOW_NS), None, "not understood"),
-    (
-        RosCommand(TWIST.key.rpartition("/")[0] + f"/{NO_HASH}", TWIST.payload, TWIST.attachment, NOW_NS),
-        SetPoint(0.5, yaw_rate_radps=0.2),
-        "",
-    ),
+    (changed(attachment=b""), None, "no attachment of rmw_zenoh"),
+    (changed(payload=TWIST.payload[:-3]), None, "it ends 3 bytes early"),
+    (changed(payload=b"\0\0\0\0" + TWIST.payload[4:]), None, "little-endian"),
+    (changed(key=TWIST.key[:-1] + "0"), None, "another version"),
+    (changed(key="0/x/y"), None, "not understood"),
+    (changed(key=TWIST.key.rpartition("/")[0] + f"/{NO_HASH}"), SetPoint(0.5, yaw_rate_radps=0.2), ""),
 ]
 
 
 @pytest.mark.parametrize(("given", "wanted", "note"), CASES)
-def test_a_message_becomes_a_set_point_or_is_dropped(
-    given: RosCommand, wanted: SetPoint | None, note: str
-) -> None:
+def test_a_message_becomes_a_set_point_or_is_dropped(given: Arrived, wanted: SetPoint | None, note: str) -> None:
     """ros2.md A.5: SI units, left positive; the angle of a turn on the spot is that of now."""
     reader = CommandReader()
-    assert reader.read(given, NOW_NS, WALL_NS, HELD_DEG) == wanted
+    assert reader.read(*given, NOW_NS, WALL_NS, HELD_DEG) == wanted
     assert note in reader.note
     assert bool(note) == bool(reader.note)
     # What is dropped is no sign of a publisher either.
@@ -103,7 +108,7 @@ def test_engage_wants_one_publisher_that_says_zero(
 ) -> None:
     reader = CommandReader()
     for speed_mps in speeds_mps:
-        reader.read(command(types.TWIST, twist(speed_mps)), NOW_NS, WALL_NS, HELD_DEG)
+        reader.read(*command(types.TWIST, twist(speed_mps)), NOW_NS, WALL_NS, HELD_DEG)
     why = reader.why_not_engage(publishers, NOW_NS + later_ns)
     assert says in why
     assert bool(why) == bool(says)
@@ -112,10 +117,10 @@ def test_engage_wants_one_publisher_that_says_zero(
 def test_one_publisher_an_engagement() -> None:
     """Another one is foreign until the robot is engaged again."""
     reader = CommandReader()
-    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
     assert not reader.begin(["/planner"], NOW_NS)
     assert not reader.is_foreign
-    reader.read(command(types.TWIST, twist(0.0), OTHER), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.0), OTHER), NOW_NS, WALL_NS, HELD_DEG)
     assert reader.is_foreign
     assert reader.publisher == OTHER.hex()
     reader.end()
@@ -132,14 +137,14 @@ def test_what_passes_while_a_robot_is_engaged_and_after() -> None:
         return reader.passes(zero), reader.passes(moving)
 
     assert passing() == (False, False)
-    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
     assert not reader.begin([], NOW_NS)
     assert passing() == (True, False)
     # It takes seconds to engage, and the planner begins meanwhile.
-    reader.read(command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
     assert "not zero" in reader.confirm([], NOW_NS)
     assert passing() == (True, False)
-    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
     assert not reader.confirm([], NOW_NS)
     assert passing() == (True, True)
     reader.end()
@@ -171,7 +176,7 @@ def test_a_message_that_waited_in_a_queue_is_dropped(sent: list[tuple[int, int]]
         given = command(
             types.TWIST, twist(0.5), arrived_ns=arrived_ms * MS, sent_ns=max(0, WALL_NS + sent_ms * MS)
         )
-        found = reader.read(given, arrived_ms * MS, WALL_NS, HELD_DEG)
+        found = reader.read(*given, arrived_ms * MS, WALL_NS, HELD_DEG)
         assert (found is not None) is is_passed, (sent_ms, reader.note)
         assert is_passed or "on its way" in reader.note
 
@@ -180,18 +185,17 @@ def test_a_message_is_passed_on_once() -> None:
     """A publisher that counts from one again is taken after a pause."""
     reader = CommandReader()
     again = command(types.TWIST, twist(0.5))
-    assert reader.read(again, NOW_NS, WALL_NS, HELD_DEG) is not None
-    assert reader.read(again, NOW_NS, WALL_NS, HELD_DEG) is None
+    assert reader.read(*again, NOW_NS, WALL_NS, HELD_DEG) is not None
+    assert reader.read(*again, NOW_NS, WALL_NS, HELD_DEG) is None
     assert "again" in reader.note
     later_ns = NOW_NS + AGE_MAX_NS + 1
-    restarted = RosCommand(again.key, again.payload, again.attachment, later_ns)
-    assert reader.read(restarted, later_ns, WALL_NS, HELD_DEG) is not None
+    assert reader.read(again[0], later_ns, later_ns, WALL_NS, HELD_DEG) is not None
 
 
 def test_only_commands_that_move_keep_a_robot_from_being_reset() -> None:
     reader = CommandReader()
-    reader.read(command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.5)), NOW_NS, WALL_NS, HELD_DEG)
     assert reader.moves(NOW_NS)
     assert not reader.moves(NOW_NS + AGE_MAX_NS + 1)
-    reader.read(command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
+    reader.read(*command(types.TWIST, twist(0.0)), NOW_NS, WALL_NS, HELD_DEG)
     assert not reader.moves(NOW_NS)
