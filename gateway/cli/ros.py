@@ -94,8 +94,9 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     hashes = settings.ros.distribution != ROS_DISTRIBUTIONS[0]
     with RosSession.open(settings.ros.connect, arrivals, domain, hashes=hashes) as ros:
         bridge = Bridge(ros, arrivals, choice, settings)
-        does = "drives" if choice.drive else "reads only"
-        sys.stderr.write(f"ros: {does}; ROS domain {domain} at {plain(settings.ros.connect)}\n")
+        does = "drives" if choice.drive else "publishes, read only,"
+        who = "all robots" if keys.ALL in robots else ", ".join(robots)
+        sys.stderr.write(f"ros: {does} {who}; ROS domain {domain} at {plain(settings.ros.connect)}\n")
         try:
             bridge.run(ending_after(stopped, arguments.seconds, time.monotonic))
         finally:

@@ -23,7 +23,7 @@ from gateway.client.robot import CONNECT_TIMEOUT_S, RelayLease, Robot
 from gateway.ros import commands
 from gateway.ros.commands import CommandReader
 from gateway.telemetry.samples import Received
-from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession
+from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession, clock_ns
 from schemas.command_line import CommandError, short
 from schemas.decisions import SafetyState
 from schemas.ros import face, wire
@@ -132,17 +132,17 @@ class RobotBridge:
     def _command(self, received: Received, arrived_ns: int) -> None:
         """A drive command of the graph: passed on now, or dropped."""
         angle_deg = self._state.output_angle_deg if self._state is not None else 0.0
-        set_point = self._reader.read(received, arrived_ns, time.monotonic_ns(), time.time_ns(), angle_deg)
+        set_point = self._reader.read(received, arrived_ns, clock_ns(), time.time_ns(), angle_deg)
         if self._reader.note and (now_s := time.monotonic()) >= self._warn_s:
             self._warn_s = now_s + WARN_S
             log.warning("%s: a drive command of the graph: %s", self.name, self._reader.note)
         lease = self._lease
-        if set_point is None or lease is None:
+        if lease is None:
             return
-        if self._reader.is_foreign:
-            self.let_go(f"a second publisher sends drive commands ({self._reader.publisher})")
-        elif self._reader.passes(set_point):
-            lease.relay(set_point)
+        if foreign := self._reader.foreign:
+            self.let_go(f"a second publisher sends drive commands ({foreign})")
+        elif set_point is not None and (admitted := self._reader.admit(set_point, angle_deg)) is not None:
+            lease.relay(admitted)
 
     def _serve(self, service: str, request: RosRequest) -> None:
         """Begin what a service asks for. Nothing waits, to be done later than it was asked for, but stops."""
@@ -180,7 +180,7 @@ class RobotBridge:
         if others := self._servers():
             raise ValueError(f"another node serves engage too ({short(', '.join(others))}): leave one")
         self._give_back()
-        if why := self._reader.begin(self._publishing(), time.monotonic_ns()):
+        if why := self._reader.begin(self._publishing(), clock_ns()):
             raise ValueError(why)
         try:
             self._take_command()
@@ -195,12 +195,14 @@ class RobotBridge:
         self._lease = lease
         lease.engage(self._choice.speed_limit_mps)
         # All of that may have taken seconds.
-        if why := self._reader.confirm(self._publishing(), time.monotonic_ns()):
+        if why := self._reader.confirm(self._publishing(), clock_ns()):
             raise ValueError(why)
 
     def _disengage(self) -> str:
+        if self._lease is None:
+            return f"{self.name} was not engaged from here"
         try:
-            self._held().disengage()
+            self._lease.disengage()
         finally:
             self._give_back()
         return f"{self.name} stands by"
@@ -225,12 +227,14 @@ class RobotBridge:
         raise ValueError(f"{self.name} is not known to stand: {'; '.join(why)}")
 
     def _reset(self) -> str:
-        if self._reader.moves(time.monotonic_ns()):
+        if self._reader.moves(clock_ns()):
             raise ValueError("drive commands that are not zero arrive: end them, then reset")
         if self._lease is not None:
-            return self._lease.reset()
-        with self._connected().lease() as lease:
-            return lease.reset()
+            cleared = self._lease.reset()
+        else:
+            with self._connected().lease() as lease:
+                cleared = lease.reset()
+        return f"cleared: {cleared}" if cleared else "nothing was latched"
 
     def _let_go(self, why: str) -> None:
         """Stop the robot, and give the lease back."""
@@ -271,9 +275,12 @@ class RobotBridge:
             return status(
                 OK, f"{self.name}: ROS commands", "read only: 'cruiser ros --drive' takes commands", self.name, {}
             )
-        note = self._reader.note
         lease = self._lease
         engaged = lease is not None and lease.is_engaged
+        leads_nowhere = not engaged and self._reader.moves(clock_ns())
+        note = self._reader.note or (
+            "commands arrive, but it is not engaged: call engage" if leads_nowhere else ""
+        )
         values = {"publishers": short(", ".join(self._publishing())), "engaged_from_here": str(engaged)}
         return status(WARN if note else OK, f"{self.name}: ROS commands", note or "ok", self.name, values)
 

@@ -23,8 +23,11 @@ AGE_MAX_NS: Final = 300_000_000
 
 RECENT_NS: Final = 300_000_000  # commands arrive: the last one came within this time
 
-DRIFT: Final = 10
-"""One part in so many by which a publisher's clock may run off ours before its messages count as late."""
+DRIFT: Final = 1000
+"""One part in so many by which a publisher's clock may run off ours before its messages count as late.
+
+NTP changes a clock's rate by 1 in 2000 at most; a queue that grows faster than this is found.
+"""
 
 TOPICS: Final = {
     "cmd_vel": (types.TWIST, types.TWIST_STAMPED),
@@ -38,10 +41,12 @@ class CommandReader:
 
     Attributes:
         note: what is wrong with the newest message, or what was left out of it; empty if it was taken as it is.
+        foreign: another publisher than the one for which the robot was engaged, which sent something since.
     """
 
     def __init__(self) -> None:
         self.note = ""
+        self.foreign = ""
         self._gid = b""
         self._sequence = 0
         self._fastest: tuple[bytes, int, int] | None = None
@@ -56,32 +61,40 @@ class CommandReader:
         """The set point that a message of TOPICS asks for; None if it is dropped, and ``note`` says why.
 
         Args:
-            arrived_ns, now_ns: by this computer's monotonic clock.
+            arrived_ns, now_ns: by a clock of this computer that also runs while it is suspended.
             wall_ns: by this computer's clock, since 1970.
             angle_deg: the steering angle that is commanded now, which a turn on the spot keeps.
         """
+        set_point, self.note = self._judge(command, arrived_ns, now_ns, wall_ns, angle_deg)
+        if set_point is not None:
+            self._last_ns, self._is_zero = now_ns, not set_point.speed_mps
+        return set_point
+
+    def _judge(
+        self, command: Received, arrived_ns: int, now_ns: int, wall_ns: int, angle_deg: float
+    ) -> tuple[SetPoint | None, str]:
+        attachment = read_attachment(command.attachment)
+        gid = attachment.gid if attachment is not None else b""
+        if self._engaged_gid not in {None, gid}:
+            self.foreign = gid.hex() or "without an attachment"
+            return None, "dropped: it comes from a second publisher"
         if now_ns - arrived_ns > AGE_MAX_NS:
-            self.note = f"dropped: it waited {(now_ns - arrived_ns) / 1e9:.1f} s"
-            return None
+            return None, f"dropped: it waited {(now_ns - arrived_ns) / 1e9:.1f} s"
         try:
             type_name = type_of(command.key)
             message = decode(type_name, command.payload)
         except (ValueError, CdrError) as error:
-            self.note = f"dropped: {error}"
-            return None
-        attachment = read_attachment(command.attachment)
+            return None, f"dropped: {error}"
+        if type_name not in TOPICS.get(command.key.split("/")[-3], ()):
+            return None, f"dropped: {type_name} is not taken on this topic"
         if attachment is None:
-            self.note = "dropped: it has no attachment of rmw_zenoh, which names its publisher"
-            return None
+            return None, "dropped: it has no attachment of rmw_zenoh, which names its publisher"
         if wrong := _stamp_fault(message, wall_ns) or self._repeat_or_late(attachment, arrived_ns):
-            self.note = wrong
-            return None
-        set_point, self.note = _set_point(type_name, message, angle_deg)
-        if set_point is None:
-            return None
-        self._gid, self._sequence = attachment.gid, attachment.sequence
-        self._last_ns, self._is_zero = now_ns, not set_point.speed_mps
-        return set_point
+            return None, wrong
+        set_point, note = _set_point(type_name, message, angle_deg)
+        if set_point is not None:
+            self._gid, self._sequence = gid, attachment.sequence
+        return set_point, note
 
     def _repeat_or_late(self, attachment: Attachment, arrived_ns: int) -> str:
         """A message that came before, or that waited in a queue while the router or this process hung."""
@@ -89,7 +102,7 @@ class CommandReader:
         if gid == self._gid and attachment.sequence <= self._sequence and self.arrives(arrived_ns):
             return f"dropped: message {attachment.sequence} of its publisher again"
         if attachment.time_ns <= 0:
-            return ""
+            return "dropped: its attachment has no time"
         # The clocks need not agree: the fastest message of the same publisher is the measure.
         offset_ns = least_ns = arrived_ns - attachment.time_ns
         if self._fastest is not None and self._fastest[0] == gid:
@@ -97,7 +110,11 @@ class CommandReader:
             least_ns = min(offset_ns, before_ns + (arrived_ns - seen_ns) // DRIFT)
         self._fastest = gid, least_ns, arrived_ns
         late_ns = offset_ns - least_ns
-        return "" if late_ns <= AGE_MAX_NS else f"dropped: it was {late_ns / 1e9:.1f} s on its way"
+        if late_ns <= AGE_MAX_NS:
+            return ""
+        return (
+            f"dropped: it was {late_ns / 1e9:.1f} s on its way; if its clock was set back, restart the publisher"
+        )
 
     def why_not_engage(self, publishers: Collection[str], now_ns: int) -> str:
         """Why the robot may not be engaged for this topic's publisher now; empty if it may.
@@ -126,34 +143,28 @@ class CommandReader:
         gid = self._gid
         why = self.why_not_engage(publishers, now_ns)
         if not why:
-            self._is_confirmed, self._engaged_gid = False, gid
+            self._is_confirmed, self._engaged_gid, self.foreign = False, gid, ""
         return why
 
     def confirm(self, publishers: Collection[str], now_ns: int) -> str:
         """Let all commands pass, since the robot is engaged now. Returns why they may not; empty if they may."""
         if self._engaged_gid is None:
             return "it was stopped meanwhile"
+        if self.foreign:
+            return f"a second publisher sends drive commands ({self.foreign})"
         why = self.why_not_engage(publishers, now_ns)
         self._is_confirmed = not why
         return why
 
     def end(self) -> None:
         """Let no command pass until the robot is engaged again."""
-        self._engaged_gid = None
+        self._engaged_gid, self.foreign = None, ""
 
-    def passes(self, set_point: SetPoint) -> bool:
-        """While the robot is being engaged, only zero speed is passed on."""
-        return self._engaged_gid is not None and (self._is_confirmed or not set_point.speed_mps)
-
-    @property
-    def is_foreign(self) -> bool:
-        """Another publisher than the one for which the robot was engaged has sent the newest command."""
-        return self._engaged_gid is not None and self._gid != self._engaged_gid
-
-    @property
-    def publisher(self) -> str:
-        """The identifier of the publisher of the newest command."""
-        return self._gid.hex()
+    def admit(self, set_point: SetPoint, angle_deg: float) -> SetPoint | None:
+        """What of a set point may be passed on: while the robot is being engaged, that it stands as it is."""
+        if self._engaged_gid is None or not (self._is_confirmed or not set_point.speed_mps):
+            return None
+        return set_point if self._is_confirmed else SetPoint(0.0, angle_deg=angle_deg)
 
 
 def _stamp_fault(message: dict[str, Any], wall_ns: int) -> str:

@@ -36,6 +36,11 @@ CALLS_WAITING: Final = 16  # of a service's calls
 BATCH: Final = 64  # arrivals of one source that are handed out before the other sources have their turn
 
 
+def clock_ns() -> int:
+    """The time since the computer's start, with that during which it was suspended."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
 class Arrivals:
     """Arrivals from Zenoh's threads, for one thread. A source that floods delays no other."""
 
@@ -45,12 +50,12 @@ class Arrivals:
         self._fault = ""
 
     def to(self, take: Callable[[Any, int], None], waiting: int = WAITING_MAX) -> zenoh.handlers.Callback[Any]:
-        """A handler of Zenoh's whose items ``take`` gets later, with the monotonic time of arrival in ns."""
+        """A handler of Zenoh's whose items ``take`` gets later, with the time of arrival by ``clock_ns``."""
         queue: deque[tuple[Any, int]] = deque(maxlen=waiting)
         self._sources.append((take, queue))
 
         def keep(item: object) -> None:
-            queue.append((item, time.monotonic_ns()))
+            queue.append((item, clock_ns()))
             self._event.set()
 
         return zenoh.handlers.Callback(keep, lambda: None)
@@ -141,6 +146,7 @@ class RosSession(SessionOwner):
         self._domain = domain
         self._hashes = hashes
         self._zid = str(session.info.zid())
+        self._own: set[str] = set()
         self._numbers = 0
         self._declared: list[Any] = []
         self._met: dict[str, Endpoint] = {}
@@ -163,8 +169,8 @@ class RosSession(SessionOwner):
         if not session.info.routers_zid():
             session.close()
             raise CommandError(
-                f"what answers at {where} is no router: a gateway has the port of rmw_zenohd, 7447. Start "
-                "rmw_zenohd on another port, and name it with --ros (docs/ros2.md)",
+                f"what answers at {where} is no router: a gateway has the port of rmw_zenohd. Start rmw_zenohd "
+                "on another port, and name it with --ros (docs/ros2.md)",
                 ExitCode.UNREACHABLE,
             )
         return cls(session, arrivals, domain, hashes=hashes)
@@ -178,8 +184,8 @@ class RosSession(SessionOwner):
 
         def nodes() -> list[str]:
             found = [one for one in list(self._met.values()) if one.name == name]
-            found = [one for one in found if one.kind is kind and one.session != self._zid]
-            return [plain(f"/{one.namespace}/{one.node}".replace("//", "/")) for one in found]
+            names = [plain(f"/{one.namespace}/{one.node}".replace("//", "/")) for one in found if one.kind is kind]
+            return names if len(self._met) < WAITING_MAX else [*names, "more than can be counted"]
 
         return nodes
 
@@ -252,7 +258,9 @@ class RosSession(SessionOwner):
         self._token(endpoint)
 
     def _token(self, endpoint: Endpoint) -> None:
-        self._declared.append(self._session.liveliness().declare_token(endpoint.token()))
+        token = endpoint.token()
+        self._own.add(token)
+        self._declared.append(self._session.liveliness().declare_token(token))
 
     def _number(self) -> int:
         self._numbers += 1
@@ -262,5 +270,9 @@ class RosSession(SessionOwner):
         key = str(sample.key_expr)
         if sample.kind == zenoh.SampleKind.DELETE:
             self._met.pop(key, None)
-        elif (endpoint := wire.read_token(key)) is not None and len(self._met) < WAITING_MAX:
+        elif (
+            key not in self._own
+            and (endpoint := wire.read_token(key)) is not None
+            and len(self._met) < WAITING_MAX
+        ):
             self._met[key] = endpoint
