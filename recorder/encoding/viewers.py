@@ -24,11 +24,7 @@ from schemas.recording import LOG_CHUNK, OUTLINE_CHUNK, TRANSFORM_CHUNK, Recorde
 
 LEVELS: Final = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
-_LEVEL_OF: Final = {
-    Severity.INFO: LEVELS.index("INFO"),
-    Severity.WARNING: LEVELS.index("WARNING"),
-    Severity.ERROR: LEVELS.index("ERROR"),
-}
+_LEVEL_OF: Final = {severity: LEVELS.index(severity.name) for severity in Severity}
 
 _ENUMS: Final = {
     "Log.Level": LEVELS,
@@ -156,50 +152,40 @@ _BODY: Final = {"r": 0.35, "g": 0.5, "b": 0.65, "a": 0.85}
 _WHEEL: Final = {"r": 0.12, "g": 0.12, "b": 0.13, "a": 1.0}
 _FORWARD: Final = {"r": 0.1, "g": 0.62, "b": 0.44, "a": 1.0}
 _TYRE_M: Final = 0.1  # width of a tyre as drawn
+_UPRIGHT: Final = {"w": 1.0}
 _ROLLS: Final = {"x": sqrt(0.5), "w": sqrt(0.5)}  # a cylinder's axis is z, a wheel's is y
 
 
 def outline_record(time_ns: int, robot: str) -> bytes:
     """Wheels, a box from bumper to bumper, and an arrow forward. It lasts until the next one."""
+    body = _xyz(WHEELBASE_M + 2 * WHEEL_RADIUS_M, TRACK_M - _TYRE_M, WHEEL_RADIUS_M)
+    wheel = {
+        "size": _xyz(2 * WHEEL_RADIUS_M, 2 * WHEEL_RADIUS_M, _TYRE_M),
+        "bottom_scale": 1.0,
+        "top_scale": 1.0,
+        "color": _WHEEL,
+    }
+    arrow = {"shaft_length": 0.35, "shaft_diameter": 0.06, "head_length": 0.15, "head_diameter": 0.15}
+    middle_m = WHEELBASE_M / 2
+    places = [_xyz(x, y, WHEEL_RADIUS_M) for x in (0.0, WHEELBASE_M) for y in (-TRACK_M / 2, TRACK_M / 2)]
     entity = {
         "timestamp": _stamp(time_ns),
         "frame_id": f"{robot}/base_link",
         "id": robot,
         "frame_locked": True,
-        "cubes": [
-            {
-                "pose": _pose(WHEELBASE_M / 2, 0.0, 1.3 * WHEEL_RADIUS_M),
-                "size": {"x": WHEELBASE_M + 2 * WHEEL_RADIUS_M, "y": TRACK_M - _TYRE_M, "z": WHEEL_RADIUS_M},
-                "color": _BODY,
-            }
-        ],
-        "cylinders": [
-            {
-                "pose": _pose(x, y, WHEEL_RADIUS_M, _ROLLS),
-                "size": {"x": 2 * WHEEL_RADIUS_M, "y": 2 * WHEEL_RADIUS_M, "z": _TYRE_M},
-                "bottom_scale": 1.0,
-                "top_scale": 1.0,
-                "color": _WHEEL,
-            }
-            for x in (0.0, WHEELBASE_M)
-            for y in (-TRACK_M / 2, TRACK_M / 2)
-        ],
-        "arrows": [
-            {
-                "pose": _pose(WHEELBASE_M / 2, 0.0, 2 * WHEEL_RADIUS_M),
-                "shaft_length": 0.35,
-                "shaft_diameter": 0.06,
-                "head_length": 0.15,
-                "head_diameter": 0.15,
-                "color": _FORWARD,
-            }
-        ],
+        "cubes": [{"pose": _pose(_xyz(middle_m, 0.0, 1.3 * WHEEL_RADIUS_M)), "size": body, "color": _BODY}],
+        "cylinders": [{"pose": _pose(place, _ROLLS), **wheel} for place in places],
+        "arrows": [{"pose": _pose(_xyz(middle_m, 0.0, 2 * WHEEL_RADIUS_M)), **arrow, "color": _FORWARD}],
     }
     return _record(OUTLINES, entities=[entity])
 
 
-def _pose(x: float, y: float, z: float, orientation: dict[str, float] | None = None) -> dict[str, Any]:
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": orientation or {"w": 1.0}}
+def _pose(position: dict[str, float], orientation: dict[str, float] = _UPRIGHT) -> dict[str, Any]:
+    return {"position": position, "orientation": orientation}
+
+
+def _xyz(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": x, "y": y, "z": z}
 
 
 def _stamp(time_ns: int) -> dict[str, int]:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
@@ -140,20 +140,18 @@ class _BagWriter:
             "duration": {"nanoseconds": self._last_ns - self._first_ns},
             "message_count": self.counts.total(),
         }
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": (type_name := TOPICS[topic.rpartition("/")[2]]),
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": json.loads(_qos(topic)),
-                    "type_description_hash": type_hash(type_name),
-                },
-                "message_count": count,
+        topics = []
+        for topic, count in sorted(self.counts.items()):
+            type_name = TOPICS[topic.rpartition("/")[2]]
+            about = {
+                "name": topic,
+                "type": type_name,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": json.loads(_qos(topic)),
+                "type_description_hash": type_hash(type_name),
             }
-            for topic, count in sorted(self.counts.items())
-        ]
-        about: dict[str, Any] = {
+            topics.append({"topic_metadata": about, "message_count": count})
+        bag = {
             "version": VERSION,
             "storage_identifier": "mcap",
             **span,
@@ -165,7 +163,7 @@ class _BagWriter:
             "custom_data": None,
             "ros_distro": DISTRIBUTION,
         }
-        return json.dumps({"rosbag2_bagfile_information": about}, indent=2) + "\n"
+        return json.dumps({"rosbag2_bagfile_information": bag}, indent=2) + "\n"
 
 
 def _qos(topic: str) -> str:

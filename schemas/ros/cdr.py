@@ -33,7 +33,8 @@ _PRIMITIVES: Final = {
 
 _NESTED: Final = 1
 _FIXED, _BOUNDED, _UNBOUNDED = 48, 96, 144  # what a type's number grows by for an array or a sequence
-_FIELD: Final = re.compile(r"([\w/]+)(?:\[(<=)?(\d*)\])? (\w+)(?: .*)?")
+_SEQUENCES: Final = (_BOUNDED, _UNBOUNDED)
+_FIELD: Final = re.compile(r"^([\w/]+)(?:\[(<=)?(\d*)\])? (\w+)(?: .*)?$", re.MULTILINE)  # no constant: it has "="
 
 
 class CdrError(ValueError):
@@ -48,6 +49,7 @@ class CdrField(msgspec.Struct, frozen=True):
         format: of ``struct`` for a number, else empty.
         array: 0 for a single value, else what the type's number grows by.
         length: of a fixed array, or the most items of a bounded sequence.
+        count: its items, of a sequence 0: there they stand in front.
     """
 
     name: str
@@ -56,24 +58,21 @@ class CdrField(msgspec.Struct, frozen=True):
     format: str
     array: int
     length: int
+    count: int
 
 
 @cache
 def fields_of(type_name: str) -> tuple[CdrField, ...]:
     """The fields of a type, without its constants."""
-    return tuple(_field(line) for line in DEFINITIONS[type_name].split("\n") if "=" not in line.replace("<=", ""))
+    return tuple(_field(*match.groups()) for match in _FIELD.finditer(DEFINITIONS[type_name]))
 
 
-def _field(line: str) -> CdrField:
-    match = _FIELD.fullmatch(line)
-    if match is None:
-        raise AssertionError(f"no field of a message: {line!r}")
-    base, bounded, length, name = match.groups()
+def _field(base: str, bounded: str | None, length: str | None, name: str) -> CdrField:
     array = 0 if length is None else _BOUNDED if bounded else _FIXED if length else _UNBOUNDED
-    nested = ""
-    if base not in _PRIMITIVES:
-        nested = base if base in DEFINITIONS else base.replace("/", "/msg/")
-    return CdrField(name, base, nested, "" if nested else _PRIMITIVES[base][0], array, int(length or 0))
+    nested = "" if base in _PRIMITIVES else base if base in DEFINITIONS else base.replace("/", "/msg/")
+    most = int(length or 0)
+    count = {0: 1, _FIXED: most}.get(array, 0)
+    return CdrField(name, base, nested, "" if nested else _PRIMITIVES[base][0], array, most, count)
 
 
 def encode(type_name: str, message: Mapping[str, Any]) -> bytes:
@@ -86,40 +85,30 @@ def encode(type_name: str, message: Mapping[str, Any]) -> bytes:
 def _put(out: bytearray, type_name: str, message: Mapping[str, Any]) -> None:
     for field in fields_of(type_name):
         value = message.get(field.name)
-        if not field.array:
-            _put_one(out, field, value)
-            continue
-        items: Sequence[Any] = value if value is not None else [0] * field.length if field.array == _FIXED else ()
-        if field.array != _FIXED:
+        items: Sequence[Any] = [0] * field.count if value is None else value if field.array else [value]
+        if field.array in _SEQUENCES:
             _put_numbers(out, "I", [len(items)])
-        elif len(items) != field.length:
-            raise ValueError(f"{field.name} has {len(items)} items, not {field.length}")
+        elif len(items) != field.count:
+            raise ValueError(f"{field.name} has {len(items)} items, not {field.count}")
         if field.format:
             _put_numbers(out, field.format, items)
-        else:
-            for item in items:
-                _put_one(out, field, item)
-
-
-def _put_one(out: bytearray, field: CdrField, value: Any) -> None:  # noqa: ANN401 - of the field's own type
-    if field.nested:
-        _put(out, field.nested, value or {})
-    elif field.format:
-        _put_numbers(out, field.format, [0 if value is None else value])
-    else:
-        text = (value or "").encode() + b"\0"
-        _put_numbers(out, "I", [len(text)])
-        out += text
+            continue
+        for item in items:
+            if field.nested:
+                _put(out, field.nested, item or {})
+            else:
+                text = (item or "").encode() + b"\0"
+                _put_numbers(out, "I", [len(text)])
+                out += text
 
 
 def _put_numbers(out: bytearray, code: str, numbers: Sequence[Any]) -> None:
     if numbers:
-        out += bytes(_padding(len(out), struct.calcsize(code)))
-        out += struct.pack(f"<{len(numbers)}{code}", *numbers)
+        out += bytes(_padding(len(out), code)) + struct.pack(f"<{len(numbers)}{code}", *numbers)
 
 
-def _padding(place: int, size: int) -> int:
-    return -(place - len(HEADER)) % size
+def _padding(place: int, code: str) -> int:
+    return (len(HEADER) - place) % struct.calcsize(code)
 
 
 def decode(type_name: str, data: bytes) -> dict[str, Any]:
@@ -132,62 +121,53 @@ def decode(type_name: str, data: bytes) -> dict[str, Any]:
         raise CdrError(f"its header is {data[:4].hex(' ') or 'missing'}, not little-endian CDR")
     reader = _Reader(data)
     message = reader.message(type_name)
-    if reader.left >= len(HEADER):  # Up to three bytes pad a message.
-        raise CdrError(f"{reader.left} bytes follow the message")
+    if (left := len(data) - reader.place) >= len(HEADER):  # Up to three bytes pad a message.
+        raise CdrError(f"{left} bytes follow the message")
     return message
 
 
 class _Reader:
     def __init__(self, data: bytes) -> None:
         self._data = data
-        self._place = len(HEADER)
-
-    @property
-    def left(self) -> int:
-        return len(self._data) - self._place
+        self.place = len(HEADER)
 
     def message(self, type_name: str) -> dict[str, Any]:
         return {field.name: self._value(field) for field in fields_of(type_name)}
 
     def _value(self, field: CdrField) -> Any:  # noqa: ANN401 - of the field's own type
-        if not field.array:
-            return self._one(field)
-        count = field.length if field.array == _FIXED else self._count()
+        count = self._count() if field.array in _SEQUENCES else field.count
         if field.array == _BOUNDED and count > field.length:
             raise CdrError(f"{field.name} has {count} items, not {field.length}")
-        return (
-            list(self._numbers(field.format, count)) if field.format else [self._one(field) for _ in range(count)]
-        )
-
-    def _one(self, field: CdrField) -> Any:  # noqa: ANN401 - as above
-        if field.nested:
-            return self.message(field.nested)
         if field.format:
-            return self._numbers(field.format, 1)[0]
-        text = self._take(self._count())
+            items = self._numbers(field.format, count)
+        elif field.nested:
+            items = [self.message(field.nested) for _ in range(count)]
+        else:
+            items = [self._text(field.name) for _ in range(count)]
+        return items if field.array else items[0]
+
+    def _text(self, name: str) -> str:
         try:
-            return text.removesuffix(b"\0").decode()
+            return self._take(self._count()).removesuffix(b"\0").decode()
         except UnicodeDecodeError as error:
-            raise CdrError(f"{field.name} is not UTF-8") from error
+            raise CdrError(f"{name} is not UTF-8") from error
 
     def _count(self) -> int:
-        count = int(self._numbers("I", 1)[0])
+        (count,) = self._numbers("I", 1)
         if count > ITEMS_MAX:
             raise CdrError(f"a length of {count}")
-        return count
+        return int(count)
 
-    def _numbers(self, code: str, count: int) -> tuple[Any, ...]:
-        if not count:
-            return ()
-        size = struct.calcsize(code)
-        self._take(_padding(self._place, size))
-        return struct.unpack(f"<{count}{code}", self._take(size * count))
+    def _numbers(self, code: str, count: int) -> list[Any]:
+        if count:
+            self._take(_padding(self.place, code))
+        return list(struct.unpack(f"<{count}{code}", self._take(struct.calcsize(code) * count)))
 
     def _take(self, size: int) -> bytes:
-        if size > self.left:
-            raise CdrError(f"it ends {size - self.left} bytes early")
-        self._place += size
-        return self._data[self._place - size : self._place]
+        self.place += size
+        if self.place > len(self._data):
+            raise CdrError(f"it ends {self.place - len(self._data)} bytes early")
+        return self._data[self.place - size : self.place]
 
 
 @cache

@@ -55,6 +55,10 @@ def stamp(time_ns: int) -> dict[str, int]:
     return {"sec": min(seconds, _INT32_MAX), "nanosec": nanoseconds}
 
 
+def _header(time_ns: int, frame: str) -> dict[str, Any]:
+    return {"stamp": stamp(time_ns), "frame_id": frame}
+
+
 def time_of(header: dict[str, Any]) -> int:
     """The time of a header's stamp, in ns since 1970; 0 if the sender left it out."""
     found = header["stamp"]
@@ -77,8 +81,9 @@ class RosFace:
         """The ROS messages for one of the gateway's; none if it is not one that ROS is told."""
         match message:
             case Odometry():
-                yield RosMessage("odom", message.time_ns, _odometry(message))
-                yield RosMessage("tf", message.time_ns, {"transforms": [_transform(message)]})
+                pose, transform = _odometry(message)
+                yield RosMessage("odom", message.time_ns, pose)
+                yield RosMessage("tf", message.time_ns, {"transforms": [transform]})
             case RobotState():
                 self._chassis = message
                 yield RosMessage("joint_states", message.time_ns, self._joints(message))
@@ -91,16 +96,11 @@ class RosFace:
                 if message.engaged:
                     yield RosMessage("ackermann_output", message.time_ns, _output(message))
             case GatewayHealth():
-                yield RosMessage(
-                    "diagnostics",
-                    message.time_ns,
-                    {
-                        "header": {"stamp": stamp(message.time_ns)},
-                        "status": [*self.arbiter_status(), _gateway(self._robot, message)],
-                    },
-                )
+                found = [*self._arbiter(), _gateway(self._robot, message)]
+                fields = {"header": {"stamp": stamp(message.time_ns)}, "status": found}
+                yield RosMessage("diagnostics", message.time_ns, fields)
 
-    def arbiter_status(self) -> list[dict[str, Any]]:
+    def _arbiter(self) -> list[dict[str, Any]]:
         """Why the robot stands still, with the cures; empty before its state is known."""
         state = self._safety
         if state is None:
@@ -108,25 +108,18 @@ class RosFace:
         reasons = list(dict.fromkeys([*state.latched, *state.blocked_by]))
         idle = {Reason.NO_LEASE, Reason.NOT_ENGAGED}.issuperset(reasons)
         level = ERROR if state.latched else OK if idle else WARN
-        return [
-            status(
-                level,
-                f"{self._robot}: safety",
-                "; ".join(_why(reason, self._robot, reasons) for reason in reasons)
-                if not idle
-                else state.state.value,
-                self._robot,
-                {
-                    "state": state.state.value,
-                    "lease_holder": state.lease_holder,
-                    "latched": ", ".join(one.value for one in state.latched),
-                    "blocked_by": ", ".join(one.value for one in state.blocked_by),
-                    "stop_reason": state.stop_reason.value if state.state is not ArbiterState.ENGAGED else "",
-                    "speed_limit_mps": f"{state.speed_limit_mps:g}",
-                    "mode": self._chassis.mode.value if self._chassis is not None else "",
-                },
-            )
-        ]
+        whys = "; ".join(_why(reason, self._robot, reasons) for reason in reasons)
+        values = {
+            "state": state.state.value,
+            "lease_holder": state.lease_holder,
+            "latched": ", ".join(one.value for one in state.latched),
+            "blocked_by": ", ".join(one.value for one in state.blocked_by),
+            "stop_reason": state.stop_reason.value if state.state is not ArbiterState.ENGAGED else "",
+            "speed_limit_mps": f"{state.speed_limit_mps:g}",
+            "mode": self._chassis.mode.value if self._chassis is not None else "",
+        }
+        message = state.state.value if idle else whys
+        return [status(level, f"{self._robot}: safety", message, self._robot, values)]
 
     def _joints(self, state: RobotState) -> dict[str, Any]:
         """Wheels turn by their speeds since the start; a joint that is not known is left out."""
@@ -145,7 +138,7 @@ class RosFace:
             names.append(JOINTS[2])
             positions.append(radians(state.angle_deg))
             velocities.append(0.0)
-        header = {"stamp": stamp(state.time_ns), "frame_id": BASE_FRAME}
+        header = _header(state.time_ns, BASE_FRAME)
         return {"header": header, "name": names, "position": positions, "velocity": velocities}
 
 
@@ -176,53 +169,29 @@ def _gateway(robot: str, health: GatewayHealth) -> dict[str, Any]:
     return status(level, f"{robot}: gateway", message, robot, values)
 
 
-def _odometry(odometry: Odometry) -> dict[str, Any]:
+def _odometry(odometry: Odometry) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A pose in odom with the speeds in base_link, and the transform between these frames."""
+    frames = {"header": _header(odometry.time_ns, ODOM_FRAME), "child_frame_id": BASE_FRAME}
+    half = min(max(odometry.heading_rad, -pi), pi) / 2
+    place, turn = {"x": odometry.x_m, "y": odometry.y_m}, {"z": sin(half), "w": cos(half)}
+    twist = {"linear": {"x": odometry.speed_mps}, "angular": {"z": odometry.yaw_rate_radps}}
+    of_pose = _covariance(odometry.x_variance_m2, odometry.y_variance_m2, odometry.heading_variance_rad2)
+    speed_variance = odometry.speed_variance_m2ps2  # The middle of the rear axle does not slip aside.
+    of_twist = _covariance(speed_variance, speed_variance, odometry.yaw_rate_variance_rad2ps2)
     return {
-        "header": {"stamp": stamp(odometry.time_ns), "frame_id": ODOM_FRAME},
-        "child_frame_id": BASE_FRAME,
-        "pose": {
-            "pose": {
-                "position": {"x": odometry.x_m, "y": odometry.y_m},
-                "orientation": _quaternion(odometry.heading_rad),
-            },
-            "covariance": _covariance(
-                odometry.x_variance_m2, odometry.y_variance_m2, odometry.heading_variance_rad2
-            ),
-        },
-        "twist": {
-            "twist": {"linear": {"x": odometry.speed_mps}, "angular": {"z": odometry.yaw_rate_radps}},
-            # The middle of the rear axle does not slip aside.
-            "covariance": _covariance(
-                odometry.speed_variance_m2ps2, odometry.speed_variance_m2ps2, odometry.yaw_rate_variance_rad2ps2
-            ),
-        },
-    }
-
-
-def _transform(odometry: Odometry) -> dict[str, Any]:
-    return {
-        "header": {"stamp": stamp(odometry.time_ns), "frame_id": ODOM_FRAME},
-        "child_frame_id": BASE_FRAME,
-        "transform": {
-            "translation": {"x": odometry.x_m, "y": odometry.y_m},
-            "rotation": _quaternion(odometry.heading_rad),
-        },
-    }
+        **frames,
+        "pose": {"pose": {"position": place, "orientation": turn}, "covariance": of_pose},
+        "twist": {"twist": twist, "covariance": of_twist},
+    }, {**frames, "transform": {"translation": place, "rotation": turn}}
 
 
 def _output(state: SafetyState) -> dict[str, Any]:
     drive = {"steering_angle": radians(state.output_angle_deg), "speed": state.output_speed_mps}
-    return {"header": {"stamp": stamp(state.time_ns), "frame_id": BASE_FRAME}, "drive": drive}
-
-
-def _quaternion(heading_rad: float) -> dict[str, float]:
-    half = min(max(heading_rad, -pi), pi) / 2
-    return {"z": sin(half), "w": cos(half)}
+    return {"header": _header(state.time_ns, BASE_FRAME), "drive": drive}
 
 
 def _covariance(x: float, y: float, yaw: float) -> list[float]:
     """The 6 by 6 matrix, row by row: x, y, z, roll, pitch, yaw."""
-    diagonal = (x, y, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, yaw)
     matrix = [0.0] * 36
-    matrix[::7] = diagonal
+    matrix[::7] = (x, y, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, UNKNOWN_VARIANCE, yaw)
     return matrix

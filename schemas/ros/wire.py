@@ -134,20 +134,10 @@ class Endpoint(msgspec.Struct, frozen=True):
 
     def token(self) -> str:
         """The key of its liveliness token."""
-        parts = [
-            TOKENS,
-            str(self.domain),
-            self.session,
-            str(self.node_id),
-            str(self.endpoint_id),
-            self.kind.value,
-            "%",  # the enclave
-            mangled(self.namespace),
-            self.node,
-        ]
-        if self.kind is not EntityKind.NODE:
-            parts += [mangled(self.name), self.type_name, self.type_hash, self.qos]
-        return "/".join(parts)
+        head = [TOKENS, self.domain, self.session, self.node_id, self.endpoint_id, self.kind.value]
+        node = ["%", mangled(self.namespace), self.node]  # the enclave is the root
+        topic = [mangled(self.name), self.type_name, self.type_hash, self.qos]
+        return "/".join(map(str, head + node + (topic if self.kind is not EntityKind.NODE else [])))
 
 
 def mangled(name: str) -> str:
@@ -157,18 +147,14 @@ def mangled(name: str) -> str:
 
 def read_token(key: str) -> Endpoint | None:
     """The endpoint of a token's key; None if it is no token."""
-    parts = key.split("/")
     try:
-        root, domain, session, node_id, endpoint_id, kind, _enclave, namespace, node, *topic = parts
+        root, domain, session, node_id, endpoint_id, kind, _enclave, namespace, node, *topic = key.split("/")
         head = (int(domain), session, int(node_id), int(endpoint_id), EntityKind(kind), _plain(namespace), node)
     except ValueError:
         return None
     if root != TOKENS or len(topic) != (0 if head[4] is EntityKind.NODE else 4):
         return None
-    if not topic:
-        return Endpoint(*head)
-    name, *rest = topic
-    return Endpoint(*head, _plain(name), *rest)
+    return Endpoint(*head, *map(_plain, topic[:1]), *topic[1:])
 
 
 def _plain(mangled: str) -> str:

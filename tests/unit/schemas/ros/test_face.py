@@ -50,10 +50,7 @@ def test_odometry_is_that_of_rep_105() -> None:
     assert found["twist"]["covariance"][::7] == [0.04, 0.04, 1e6, 1e6, 1e6, 0.05]
     (transform,) = said(messages, "tf")["transforms"]
     assert (transform["header"], transform["child_frame_id"]) == (found["header"], "base_link")
-    assert transform["transform"] == {
-        "translation": pose["position"],
-        "rotation": pose["orientation"],
-    }
+    assert transform["transform"] == {"translation": pose["position"], "rotation": pose["orientation"]}
 
 
 def state(time_ns: int, left_mps: float | None, right_mps: float | None, angle_deg: float | None) -> RobotState:

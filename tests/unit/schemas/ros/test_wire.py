@@ -25,29 +25,15 @@ from schemas.ros.wire import (
 ODOMETRY = "nav_msgs::msg::dds_::Odometry_"
 SESSION = "aac3178e146ba6f1fc6e6a4085e77f21"
 NODE = Endpoint(2, SESSION, 10, 10, EntityKind.NODE, "robot1", "talker")
-PUBLISHER = Endpoint(
-    2,
-    SESSION,
-    10,
-    11,
-    EntityKind.PUBLISHER,
-    "",
-    "talker",
-    "robot1/odom",
-    ODOMETRY,
-    "RIHS01_aa",
-    LATCHED,
-)
+TOPIC = ("robot1/odom", ODOMETRY, "RIHS01_aa", LATCHED)
+PUBLISHER = Endpoint(2, SESSION, 10, 11, EntityKind.PUBLISHER, "", "talker", *TOPIC)
 
 
 @pytest.mark.parametrize(
     ("endpoint", "token"),
     [
         (NODE, f"@ros2_lv/2/{SESSION}/10/10/NN/%/%robot1/talker"),
-        (
-            PUBLISHER,
-            f"@ros2_lv/2/{SESSION}/10/11/MP/%/%/talker/%robot1%odom/{ODOMETRY}/RIHS01_aa/1:1:1,1:,:,:,,",
-        ),
+        (PUBLISHER, f"@ros2_lv/2/{SESSION}/10/11/MP/%/%/talker/%robot1%odom/{ODOMETRY}/RIHS01_aa/1:1:1,1:,:,:,,"),
     ],
 )
 def test_a_token_is_as_rmw_zenoh_writes_it(endpoint: Endpoint, token: str) -> None:
