@@ -33,18 +33,32 @@ echo "== data: false, although it was published before we came"
 run ros2 topic echo --once --qos-durability transient_local --qos-reliability reliable /cruiser_1/remote_stop
 echo "== success: false, 'no drive command arrives'"
 run ros2 service call /cruiser_1/engage std_srvs/srv/Trigger
-echo "== with a publisher of zero: success: true, twice"
-ros2 topic pub -r 20 /cruiser_1/cmd_vel geometry_msgs/msg/Twist '{}' >/dev/null &
-zero=$!
+echo "== with a node that publishes zero: success: true, twice"
+python3 "$(dirname "$0")/ros2_idle.py" --ros-args -r __ns:=/cruiser_1 &
+idle=$!
+started="$started $idle"
 sleep 2
 run ros2 service call /cruiser_1/engage std_srvs/srv/Trigger
 run ros2 service call /cruiser_1/unpark std_srvs/srv/Trigger
+echo "== three seconds at 0.3 m/s: linear x is about 0.3; then the robot has moved by about a metre, and stands"
+ros2 topic pub -r 20 -t 60 /cruiser_1/cmd_vel_nav geometry_msgs/msg/TwistStamped \
+    '{header: {stamp: now}, twist: {linear: {x: 0.3}}}' >/dev/null &
+sleep 2
+run ros2 topic echo --once --field twist.twist.linear /cruiser_1/odom
+sleep 4
+run ros2 topic echo --once --field pose.pose.position /cruiser_1/odom
 echo "== a second publisher: the robot is disengaged, and engage names both"
 ros2 topic pub -r 20 /cruiser_1/cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.3}}' >/dev/null &
 other=$!
 sleep 2
 run ros2 service call /cruiser_1/engage std_srvs/srv/Trigger
-kill "$zero" "$other"
+kill "$other"
+echo "== engaged again; the publisher is killed: the diagnostics say deadman"
+sleep 2
+run ros2 service call /cruiser_1/engage std_srvs/srv/Trigger
+kill "$idle"
+sleep 2
+run ros2 topic echo --once --field status /cruiser_1/diagnostics
 echo "== the remote stop: success: true; then remote_stop is true"
 run ros2 service call /cruiser_1/stop std_srvs/srv/Trigger
 run ros2 topic echo --once --qos-durability transient_local --qos-reliability reliable /cruiser_1/remote_stop

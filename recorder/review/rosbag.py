@@ -7,6 +7,7 @@ is left out: rosbag2 wants every channel of a file in CDR. The log stays the evi
 from __future__ import annotations
 
 import json
+import struct
 from collections import Counter
 from collections.abc import Collection, Sequence
 from importlib.metadata import version
@@ -61,11 +62,18 @@ def export_bag(
     """Write a bag. Returns None if the logs hold nothing that ROS is told.
 
     Raises:
-        CommandError: a bag is there already, or the disk does not take it.
+        CommandError: a bag is there already, the names of two robots give one namespace, or the disk does not
+            take it.
     """
     wants = selection.wants
     told = msgspec.structs.replace(selection, wants=lambda topic: topic.kind in _TOLD and wants(topic))
     topics = survey(logs, Faults()).topics.values()
+    namespaces: dict[str, str] = {}
+    for robot in sorted({topic.robot for topic in topics if topic.kind in _TOLD and wants(topic)}):
+        if (other := namespaces.setdefault(namespace_of(robot), robot)) != robot:
+            raise CommandError(
+                f"{plain(other)} and {plain(robot)} are both /{namespace_of(robot)}: export one alone"
+            )
     try:
         directory.mkdir(parents=True, exist_ok=True)
         metadata = new_path(directory, "metadata", ".yaml")
@@ -74,7 +82,10 @@ def export_bag(
             with (hidden / file.name).open("wb", buffering=0) as stream:
                 bag = _BagWriter(stream, {topic.robot for topic in topics if topic.kind is Odometry})
                 for row, message in decoded_rows(logs, told, faults, progress):
-                    bag.add(row.topic.robot, row.log_ns, message)
+                    try:
+                        bag.add(row.topic.robot, row.log_ns, message)
+                    except (ArithmeticError, ValueError, struct.error) as error:
+                        faults.add(f"{plain(row.topic.robot)}: a value that no ROS message holds: {error}")
                 bag.close()
             if not bag.counts:
                 return None
@@ -111,6 +122,7 @@ class _BagWriter:
 
     def _write(self, topic: str, log_ns: int, said: RosMessage) -> None:
         type_name = TOPICS[said.topic]
+        data = encode(type_name, said.fields)
         if topic not in self._channels:
             self._channels[topic] = channel = len(self._channels) + 1
             about = {"offered_qos_profiles": _qos(topic), "topic_type_hash": type_hash(type_name)}
@@ -120,7 +132,6 @@ class _BagWriter:
             self._first_ns = log_ns
         self._first_ns, self._last_ns = min(self._first_ns, log_ns), max(self._last_ns, log_ns)
         self.counts[topic] += 1
-        data = encode(type_name, said.fields)
         self._chunk.add(self._channels[topic], self.counts[topic], log_ns, said.time_ns, data)
         if self._chunk.is_full:
             self._seal()

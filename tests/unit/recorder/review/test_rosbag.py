@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from msgspec.structs import replace
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -123,3 +124,24 @@ def test_nothing_is_overwritten_and_nothing_is_left_of_an_empty_bag(tmp_path: Pa
     assert sorted((path.name, path.stat().st_mtime_ns) for path in out.iterdir()) == before
     assert exported([saved(tmp_path / "gears.mcap", small_log())], tmp_path / "empty") is None
     assert not list((tmp_path / "empty").iterdir())
+
+
+def test_values_that_no_ros_message_holds_are_said(tmp_path: Path) -> None:
+    """The rest of the log is in the bag."""
+    huge = [
+        replace(state(0), speed_mps=1e308, angle_deg=1e308),
+        replace(state(1), speed_mps=-1e308, angle_deg=1e308),
+    ]
+    commanded = replace(arbiter(2), output_speed_mps=1e308)
+    log = write_messages(tmp_path / "a.mcap", [*huge, commanded, state(3)])
+    faults = Faults()
+    bag = export_bag(find_logs([log], faults), tmp_path / "bag", Selection(), faults)
+    assert bag is not None
+    assert bag.topics["/cruiser_1/joint_states"] >= 1
+    assert "cruiser-1: a value that no ROS message holds" in faults.told[0]
+
+
+def test_two_robots_of_one_namespace_are_no_bag(tmp_path: Path) -> None:
+    log = write_messages(tmp_path / "a.mcap", [odometry(0)], ("cruiser-1", "cruiser--1"))
+    with pytest.raises(CommandError, match="cruiser--1 and cruiser-1 are both /cruiser_1"):
+        exported([log], tmp_path / "bag")
