@@ -34,9 +34,9 @@ def state_line(state: SafetyState) -> str:
     """Return the arbiter's state and its operator as text."""
     words = [state.state.value]
     if state.stop_phase is not StopPhase.IDLE:
-        words.append(f"{state.stop_phase.value}, because of {_stop(state)}")
+        words.append(f"{state.stop_phase.value}: {_stop(state)}")
     elif last_stop(state):
-        words.append(f"last stop {last_stop(state)}")
+        words.append(f"last stop: {last_stop(state)}")
     if state.stopped_by:
         words.append(f"stopped by {plain(', '.join(state.stopped_by))}")
     words.append(holder_line(state))
@@ -44,7 +44,7 @@ def state_line(state: SafetyState) -> str:
 
 
 def last_stop(state: SafetyState) -> str:
-    """Return the reason of the last stop; empty if the robot is commanded again, or was never stopped."""
+    """Return the cause of the last stop; empty if the robot is commanded again, or was never stopped."""
     return "" if state.state in COMMANDING or state.stop_reason is Reason.NONE else _stop(state)
 
 
@@ -55,7 +55,7 @@ def is_idle(blocked_by: Iterable[Reason]) -> bool:
 
 def _stop(state: SafetyState) -> str:
     detail = f" ({plain(state.stop_detail)})" if state.stop_detail else ""
-    return f"{state.stop_reason.value}{detail}"
+    return f"{TEXTS[state.stop_reason].means}{detail}"
 
 
 def link_line(state: SafetyState) -> str:

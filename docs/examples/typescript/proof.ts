@@ -173,7 +173,7 @@ async function grantOf(text: string, authority: string, nowS: number): Promise<G
   const grant = JSON.parse(body) as Grant;
   if (grant.kind !== "grant" || !KEY.test(grant.key)) throw new Error("the grant cannot be read");
   if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
-    throw new Error("the grant is over, or has not begun");
+    throw new Error("the grant has expired or is not valid yet");
   }
   return grant;
 }

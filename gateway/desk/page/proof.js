@@ -155,7 +155,7 @@ async function grantOf(text, authority, nowS) {
     if (grant.kind !== "grant" || !KEY.test(grant.key))
         throw new Error("the grant cannot be read");
     if (!(grant.not_before <= nowS && Math.floor(nowS) <= grant.not_after)) {
-        throw new Error("the grant is over, or has not begun");
+        throw new Error("the grant has expired or is not valid yet");
     }
     return grant;
 }

@@ -331,10 +331,15 @@ SHOWN: dict[str, Row] = {
     "a remote stop is no idling": (
         BUS_LOST,
         CLOSE,
-        ("blocked by no_lease, bus_down, not_engaged", "last stop remote_stop (by bob)"),
+        ("blocked by no_lease, bus_down, not_engaged", "last stop a remote stop was received (by bob)"),
         (),
     ),
-    "a timeout is none": (of(IDLE, stop_reason=Reason.DEADMAN), CLOSE, ("last stop deadman",), ()),
+    "a timeout is none": (
+        of(IDLE, stop_reason=Reason.DEADMAN),
+        CLOSE,
+        ("last stop no valid drive command arrived in time",),
+        (),
+    ),
     "what is wrong with the gateway": (
         msgspec.structs.replace(
             FRESH,

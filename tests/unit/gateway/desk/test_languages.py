@@ -4,16 +4,19 @@ import re
 from enum import Enum
 from pathlib import Path
 
+import msgspec
 import pytest
 
 import gateway.desk
 import schemas
 from gateway.client.fleet import WORDS
+from gateway.client.refusal import state_line
 from gateway.desk.fleet_view import reasons_in_words
-from schemas.decisions import EventKind
+from schemas.decisions import ArbiterState, EventKind, StopPhase
 from schemas.messages import BrakingStatus, GearPosition, Mode, ParkingStatus
 from schemas.reasons import OF_A_ROBOT, TEXTS, Reason
 from schemas.recording import RecorderState
+from tests.support.messages import STANDBY
 from tests.support.rigs.scenarios import Scenario, acted, deadman, front_bumper, guard_acts, hand_transmitter
 
 PLACE = Path(gateway.desk.__file__).parent / "page"
@@ -73,6 +76,21 @@ def test_what_a_robot_reports_is_a_sentence_that_is_known(scenario: Scenario) ->
     assert events
     for event in events:
         assert event.text in meanings or any(pattern.fullmatch(event.text) for pattern in known), event
+
+
+def test_a_stop_in_a_robot_s_row_is_a_sentence_that_is_known() -> None:
+    """Phase, cause and figures, each with and without figures."""
+    known = [re.compile(one) for one in re.findall(r"\[/(.*?)/, \"", table("said"))]
+    detail = "an earlier stop could not be carried out"
+    stop = {"stop_reason": Reason.FOUND_MOVING, "lease_holder": ""}
+    last = msgspec.structs.replace(STANDBY, stop_detail=detail, **stop)
+    assert f"last stop: uncommanded motion ({detail})" in state_line(last).split("; ")
+    for phase in StopPhase:
+        for figures in ("", detail):
+            state = ArbiterState.STANDBY if phase is StopPhase.IDLE else ArbiterState.STOPPING
+            changed = {"state": state, "stop_phase": phase, "stop_detail": figures, **stop}
+            _, *parts = state_line(msgspec.structs.replace(STANDBY, **changed)).split("; ")
+            assert all(any(one.fullmatch(part) for one in known) for part in parts), parts
 
 
 def test_every_word_and_value_is_there_in_chinese() -> None:

@@ -140,7 +140,7 @@ impl Robot {
             return Err(format!("the grant is of {} {}, not of robot {name}", grant.role, grant.name).into());
         }
         if !(grant.not_before..=grant.not_after).contains(&now_s) {
-            return Err("the robot's grant is over, or has not begun".into());
+            return Err("the robot's grant has expired or is not valid yet".into());
         }
         Ok(Self(public_key(&grant.key)?))
     }
