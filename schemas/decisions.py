@@ -175,7 +175,7 @@ class SafetyState(Message, frozen=True):
         blocked_by: why the robot stands still, or cannot be engaged, now.
         guarded: a second process watches this one, and stops the robot in its place.
         speed_limit_mps: the limits in force.
-        target_speed_mps: the speed of the last acceptable drive command.
+        target_speed_mps: the speed of the last valid drive command.
         output_speed_mps: the speed commanded to the chassis; forward is positive.
         output_gear: undefined while nothing is sent.
         brake_pedal_percent: 0, for the pedal is never pressed; other values occur in older logs only.
@@ -189,7 +189,7 @@ class SafetyState(Message, frozen=True):
         travel_delay_m: the distance that an engaged robot drives, at the commanded speed, before it can react to
             its operator: over the age and the deadman.
         travel_speed_limit_mps: the speed limit that the setting ``command.travel_delay_m`` gives for them.
-        deadman_s: without an acceptable drive command for this long, an engaged robot is stopped.
+        deadman_s: without a valid drive command for this long, an engaged robot is stopped.
         accepted_seq: the ``seq`` of the last drive command that the holder of the lease had accepted.
         stop_detail: the figures of the stop that is under way, or of the last one.
         stopped_by: whose remote stops are latched, the newest first; after four of them "others". A reset by

@@ -88,7 +88,7 @@ class Leased(Request, frozen=True, forbid_unknown_fields=True):
 
 
 class Renew(Leased, frozen=True, forbid_unknown_fields=True):
-    """Extend the lease, as every acceptable drive command does."""
+    """Extend the lease, as every valid drive command does."""
 
 
 class Release(Leased, frozen=True, forbid_unknown_fields=True):

@@ -459,7 +459,7 @@ class CommandSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         lease_s: s; a lease that is not renewed for this long expires
-        deadman_s: s; without an acceptable drive command for this long, the robot is stopped
+        deadman_s: s; without a valid drive command for this long, the robot is stopped
         max_age_s: s; a drive command that may be older, by its echo, is refused
         travel_delay_m: m; longest distance before the robot can react to its operator: its speed is at most this
             divided by the age of the commands plus the deadman

@@ -548,7 +548,7 @@ def test_a_stop_asked_in_the_last_tenth_before_standstill_is_as_good_as_any() ->
 
 
 def test_an_operator_who_falls_silent_is_missed() -> None:
-    """Row 'deadman: no acceptable drive command for 300 ms: controlled stop', by 1.2 m/s2 and no harder."""
+    """Row 'deadman: no valid drive command for 300 ms: controlled stop', by 1.2 m/s2 and no harder."""
     play(
         "driving 2; wait 0.28; = engaged; tick 4; = for deadman; mark; wait 0.5; = slower 0.6; rest; = in_order, "
         "latched"
