@@ -64,7 +64,7 @@ from schemas.command_line import short
 from schemas.decisions import ArbiterState, EventKind, SafetyEvent, SafetyState, Severity, SignedStatement
 from schemas.messages import CanFrames, GatewayHealth, GatewayInfo, Message, Odometry, RobotState
 from schemas.recording import GapReason, RecorderEvent, RecordGap
-from schemas.settings import OWNED_KEY_LIMIT
+from schemas.settings import OWNED_KEY_LIMIT, STANDSTILL_MPS
 from schemas.subjects import BY_DBC_MESSAGE, BY_TYPE
 
 if TYPE_CHECKING:
@@ -78,8 +78,6 @@ ROLL_MIN_NS: Final = 1_000_000_000
 
 CONTINUED_NAME: Final = "cruiser.continued"
 """Metadata record with the number of a log's file, and why the file before it ended."""
-
-STANDING_MPS: Final = 0.05  # a robot that reads a lower speed stands
 
 LATEST_NAME: Final = "cruiser.latest"
 """Metadata record with each topic's newest state when this file began, as JSON, with its log time.
@@ -372,7 +370,7 @@ class RobotLog:
         if not isinstance(arbiter, SafetyState) or not isinstance(state, RobotState) or state.speed_mps is None:
             return False
         is_held = bool(arbiter.lease_holder) or arbiter.state is not ArbiterState.STANDBY
-        return not is_held and abs(state.speed_mps) < STANDING_MPS
+        return not is_held and abs(state.speed_mps) < STANDSTILL_MPS
 
     def _count_bus(self, key: str, health: GatewayHealth) -> None:
         parts = keys.parse(key)

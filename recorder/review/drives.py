@@ -29,7 +29,7 @@ DRIVES_MAX: Final = 500  # limit of drives that are listed; others are only coun
 CLOCK_STEP_NS: Final = 600_000_000_000
 """A time that goes back further is a step of the clock; one that goes back less, a repeated sample."""
 
-STANDING_MPS: Final = 0.02
+MOVING_MPS: Final = 0.02  # a lower speed counts as no motion in distances and times of a drive
 JUMP_MPS: Final = 0.5  # a larger change from one sample to the next is a wrong scale or frame, not motion
 
 SPEED_MAX_MPS: Final = 100.0
@@ -89,7 +89,7 @@ class SpeedMeter:
     """Measures speed and distance from samples that may repeat, come out of order or be missing.
 
     Attributes:
-        moving_ns: time above STANDING_MPS, of ``known_ns`` with known speed.
+        moving_ns: time above MOVING_MPS, of ``known_ns`` with known speed.
         top_mps: the highest plausible speed, negative in reverse, at ``top_ns``.
         gaps: times without data for longer than GAP_NS, except long rests; ``gap_ns`` in all.
         begun_ns: the first sample after the newest gap.
@@ -120,7 +120,7 @@ class SpeedMeter:
         step_m, self._counted_m = self.distance_m - self._counted_m, self.distance_m
         if before_ns is None or not 0 < time_ns - before_ns <= GAP_NS:
             # A long time without data at rest, between two drives, is no loss.
-            is_rest = max(abs(before_mps), abs(speed_mps)) <= STANDING_MPS
+            is_rest = max(abs(before_mps), abs(speed_mps)) <= MOVING_MPS
             if before_ns is not None and not (is_rest and time_ns - before_ns > REST_NS):
                 self.miss(time_ns - before_ns)
             self.begun_ns, self._is_doubted = time_ns, False
@@ -128,13 +128,13 @@ class SpeedMeter:
             return step_m
         if abs(speed_mps - before_mps) > JUMP_MPS:
             self._is_doubted = not self._is_doubted
-        elif abs(speed_mps) < STANDING_MPS:
+        elif abs(speed_mps) < MOVING_MPS:
             self._is_doubted = False
         self._top(time_ns, speed_mps)
         span_ns = time_ns - before_ns
         mean_mps = (before_mps + speed_mps) / 2
         self.known_ns += span_ns
-        if abs(mean_mps) > STANDING_MPS:
+        if abs(mean_mps) > MOVING_MPS:
             self.moving_ns += span_ns
         return step_m
 
@@ -220,7 +220,7 @@ class Drives:
         """Add a sample of speed and steering. Returns the same as ``SpeedMeter.add``."""
         before_ns, gap_ns = self.motion.last_ns, self.motion.gap_ns
         step_m = self.motion.add(time_ns, speed_mps, angle_deg)
-        if speed_mps is not None and abs(speed_mps) > STANDING_MPS:
+        if speed_mps is not None and abs(speed_mps) > MOVING_MPS:
             self.command(time_ns, log_ns)
         now = self.now
         if now is not None and step_m is not None and now.start_ns <= time_ns <= now.end_ns + REST_NS:

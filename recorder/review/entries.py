@@ -149,10 +149,10 @@ class EntryKind(Enum):
 
 OF_EVENT: Final = {kind: EntryKind(kind.value) for kind in EventKind}  # a newer version may have others
 
-STOPS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
+STOP_KINDS: Final = frozenset({EntryKind.STOP, EntryKind.TAKEOVER, EntryKind.GUARD})
 """Entries that end the command of the robot without a request for it."""
 
-ENDS: Final = STOPS | {EntryKind.END}  # those, and the ends that a client asked for
+ENDS: Final = STOP_KINDS | {EntryKind.END}  # those, and the ends that a client asked for
 
 
 def kind_of(kind: EntryKind, reason: Reason) -> EntryKind:
@@ -332,7 +332,7 @@ class Stops:
             self._has_guard_latch = False
         elif self._stops(entry):
             before_ns, self._caused_ns = self._caused_ns, entry.time_ns
-            is_apart = entry.kind in STOPS and before_ns is not None and entry.time_ns - before_ns > APART_NS
+            is_apart = entry.kind in STOP_KINDS and before_ns is not None and entry.time_ns - before_ns > APART_NS
             if before_ns is None or is_apart:
                 return msgspec.structs.replace(entry, is_stop=True)
         return entry
@@ -345,7 +345,7 @@ class Stops:
             return is_new
         if entry.kind is EntryKind.GATEWAY:
             return entry.severity is Severity.ERROR
-        return entry.kind in STOPS and entry.reason is not Reason.NONE and not entry.tells_of_guard
+        return entry.kind in STOP_KINDS and entry.reason is not Reason.NONE and not entry.tells_of_guard
 
 
 IDS_KEPT: Final = 50_000  # samples of a topic that are remembered: a quarter of an hour of decisions

@@ -57,7 +57,7 @@ HELD_MAX: Final = 20_000
 LATER_NS: Final = 15 * 60 * 1_000_000_000
 """The log is read this far beyond the wanted time, for messages that were recorded late."""
 
-BEFORE_NS: Final = 5 * 1_000_000_000
+LEAD_NS: Final = 5 * 1_000_000_000
 """States are read from this long before the wanted time, so that a change at its start is seen."""
 
 SILENT_NS: Final = 1_000_000_000  # a longer time without states is a gap; they come 20 times a second
@@ -104,7 +104,7 @@ def read_events(
 
     looked_at = Selection(
         lambda topic: topic.kind in _TAKES and is_of(topic.robot) and selection.wants(topic),
-        max(0, selection.from_ns - BEFORE_NS),
+        max(0, selection.from_ns - LEAD_NS),
         selection.to_ns + LATER_NS,
     )
     timeline = Timeline(faults)

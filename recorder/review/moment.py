@@ -12,7 +12,7 @@ import msgspec
 
 from recorder.reading.logs import Faults, LogFile
 from recorder.reading.rows import END_OF_TIME_NS, Progress, Selection, read_rows
-from recorder.review.entries import ENDS, SETTLE_NS, STOPS, Entry, EntryKind, EntrySource
+from recorder.review.entries import ENDS, SETTLE_NS, STOP_KINDS, Entry, EntryKind, EntrySource
 from recorder.review.events import Timeline, hung_ns
 from recorder.review.evidence import last_command
 from recorder.review.window import (
@@ -458,7 +458,8 @@ class Story:
     def last_stop(self) -> Entry | None:
         """The last stop; without any, the last normal end."""
         either = (
-            next((one for one in reversed(self._entries) if stops(one, kinds)), None) for kinds in (STOPS, ENDS)
+            next((one for one in reversed(self._entries) if stops(one, kinds)), None)
+            for kinds in (STOP_KINDS, ENDS)
         )
         return next(filter(None, either), None)
 

@@ -20,7 +20,7 @@ from recorder.reading.topics import Topic
 from recorder.record.accounting import KeyReport, total
 from recorder.record.robots import METADATA_NAME
 from recorder.review.entries import Entry
-from recorder.review.events import BEFORE_NS, Timeline, is_within
+from recorder.review.events import LEAD_NS, Timeline, is_within
 from recorder.review.info import LogInfo, read_info
 from recorder.review.report.account import TAKEN, Account, Versions
 from recorder.review.report.findings import Report, ReportedFile, RobotReport
@@ -101,7 +101,7 @@ class _Fleet:
         asked = self._asked
         looked_at = Selection(
             lambda topic: _is_wanted(topic) and asked.wants(topic),
-            max(0, asked.from_ns - BEFORE_NS),
+            max(0, asked.from_ns - LEAD_NS),
             asked.to_ns,
         )
         for row, message in decoded_rows(self._logs, looked_at, self._faults, progress):
