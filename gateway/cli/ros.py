@@ -24,16 +24,16 @@ EXAMPLE: Final = """\
   cruiser ros cruiser-1 --drive --speed-limit 0.5  take commands too
   cruiser ros --ros tcp/127.0.0.1:7448             rmw_zenohd is on another port"""
 
+PUBLISHED: Final = """\
+Publishes odom, tf, joint_states, diagnostics and remote_stop of each robot below its namespace, by
+the middleware rmw_zenoh. With --drive it takes cmd_vel and ackermann_cmd, and serves engage,
+disengage, park, unpark, stop and reset. See docs/ros2.md."""
 DOMAIN_MAX: Final = 232  # ROS 2's own bound
 DOMAIN_VARIABLE: Final = "ROS_DOMAIN_ID"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Publishes odom, tf, joint_states, diagnostics and remote_stop of each robot below its namespace, by the "
-        "middleware rmw_zenoh. With --drive it takes cmd_vel and ackermann_cmd, and serves engage, disengage, "
-        "park, unpark, stop and reset. See docs/ros2.md."
-    )
+    parser.description = f"{parser.description or ''}\n\n{PUBLISHED}"
     parser.add_argument(
         "robot", nargs="*", default=[keys.ALL], type=robot_names, metavar="ROBOT", help="the robots (default: all)"
     )
