@@ -130,7 +130,8 @@ OUTLINE_NS: Final = 10_000_000_000
 def log_record(event: SafetyEvent | RecorderEvent, name: str) -> bytes:
     """An event as a log line of limited length; ``name`` is the sender."""
     operator = f" ({short(event.operator)})" if event.operator else ""
-    text = f"{event.kind.value}: {short(event.text)}{operator}"
+    kind = "" if event.text.startswith(event.kind.value) else f"{event.kind.value}: "
+    text = f"{kind}{short(event.text)}{operator}"
     level = _LEVEL_OF.get(event.severity, LEVELS.index("UNKNOWN"))
     return _record(LINES, timestamp=_stamp(event.time_ns), level=level, message=text, name=name)
 

@@ -48,8 +48,16 @@ def test_a_schema_is_foxgloves(shown: Shown) -> None:
     assert (published.name, types(published.data)) == (shown.schema_name, types(shown.schema_data))
 
 
-@pytest.mark.parametrize(("severity", "level"), [(Severity.INFO, 2), (Severity.WARNING, 3), (Severity.ERROR, 4)])
-def test_an_event_is_a_line_of_a_log_too(severity: Severity, level: int) -> None:
+@pytest.mark.parametrize(
+    ("severity", "level", "text", "message_text"),
+    [
+        (Severity.INFO, 2, "a remote stop", "latch: a remote stop (operator-1)"),
+        (Severity.WARNING, 3, "a remote stop", "latch: a remote stop (operator-1)"),
+        (Severity.ERROR, 4, "latch: a remote stop", "latch: a remote stop (operator-1)"),
+    ],
+)
+def test_an_event_is_a_line_of_a_log_too(severity: Severity, level: int, text: str, message_text: str) -> None:
+    """Its kind stands before the text, once."""
     event = SafetyEvent(
         time_ns=WALL_NS + 123,
         sequence=7,
@@ -58,14 +66,13 @@ def test_an_event_is_a_line_of_a_log_too(severity: Severity, level: int) -> None
         kind=EventKind.LATCH,
         reason=Reason.REMOTE_STOP,
         operator="operator-1",
-        text="a remote stop was received",
+        text=text,
     )
     log = Log()
     log.receive(sample_of(event))
     ((message, line),) = drawn(log.close(), "fleet/cruiser-1/safety/event/log")
     assert line.timestamp.ToNanoseconds() == message.publish_time == event.time_ns
-    assert (line.level, line.name) == (level, "cruiser-1")
-    assert line.message == "latch: a remote stop was received (operator-1)"
+    assert (line.level, line.name, line.message) == (level, "cruiser-1", message_text)
 
 
 def driven(*heading_rad: float, step_ns: int = 20 * MS) -> bytes:
