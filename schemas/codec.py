@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from enum import Enum
 from functools import cache, lru_cache
 from math import isfinite
+from threading import Lock
 from typing import Any, Final, Generic, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -235,9 +236,13 @@ def _growing_fields(kind: type[msgspec.Struct]) -> dict[str, tuple[type[Any], bo
     return growing
 
 
+_BUILDING: Final = Lock()  # msgspec 0.22 crashes if two threads build decoders of one new type at once
+
+
 @cache
 def _reader(kind: type[Kind]) -> msgspec.msgpack.Decoder[Kind]:
-    return msgspec.msgpack.Decoder(kind)
+    with _BUILDING:
+        return msgspec.msgpack.Decoder(kind)
 
 
 _UNTYPED: Final = msgspec.msgpack.Decoder()

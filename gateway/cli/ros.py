@@ -75,6 +75,8 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
     is_one = len(robots) == 1 and "*" not in robots[0]
     if arguments.namespace is not None and not is_one:
         raise CommandError("--namespace is for one robot", ExitCode.USAGE)
+    if arguments.drive and any("*" in robot for robot in robots):
+        raise CommandError("name the robots that --drive may drive", ExitCode.USAGE)
     choice = RosChoice(
         tuple(robots),
         arguments.namespace,

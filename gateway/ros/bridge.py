@@ -26,6 +26,7 @@ from gateway.telemetry.samples import Received
 from gateway.zenoh.ros import Arrivals, RobotFeed, RosRequest, RosSession, clock_ns
 from schemas.command_line import CommandError, short
 from schemas.decisions import SafetyState
+from schemas.reasons import Reason
 from schemas.ros import face, wire
 from schemas.ros.face import OK, STALE, WARN, RosFace, stamp, status
 from schemas.ros.wire import EntityKind
@@ -229,6 +230,9 @@ class RobotBridge:
     def _reset(self) -> str:
         if self._reader.moves(clock_ns()):
             raise ValueError("drive commands that are not zero arrive: end them, then reset")
+        latched = self._state.latched if self._state is not None else []
+        if others := [reason.value for reason in latched if reason is not Reason.REMOTE_STOP]:
+            raise ValueError(f"{', '.join(others)} is latched: 'cruiser reset {self.name}' clears it")
         if self._lease is not None:
             cleared = self._lease.reset()
         else:

@@ -82,11 +82,12 @@ class CommandReader:
             return None, f"dropped: it waited {(now_ns - arrived_ns) / 1e9:.1f} s"
         try:
             type_name = type_of(command.key)
+            if type_name not in TOPICS.get(command.key.split("/")[-3], ()):
+                # Not decoded: it may be long.
+                return None, f"dropped: {type_name} is not taken on this topic"
             message = decode(type_name, command.payload)
         except (ValueError, CdrError) as error:
-            return None, f"dropped: {error}"
-        if type_name not in TOPICS.get(command.key.split("/")[-3], ()):
-            return None, f"dropped: {type_name} is not taken on this topic"
+            return None, f"dropped: {short(str(error))}"
         if attachment is None:
             return None, "dropped: it has no attachment of rmw_zenoh, which names its publisher"
         if wrong := _stamp_fault(message, wall_ns) or self._repeat_or_late(attachment, arrived_ns):

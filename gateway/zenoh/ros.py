@@ -216,9 +216,13 @@ class RosSession(SessionOwner):
     ) -> None:
         """Subscribe to a topic below the node's namespace, whatever the type of its publishers is."""
         name = f"{node.namespace}/{topic}".strip("/")
-        handler = self._arrivals.to(
-            lambda sample, arrived_ns: take(received_of(sample), arrived_ns), COMMANDS_WAITING
-        )
+
+        def arrived(sample: zenoh.Sample, arrived_ns: int) -> None:
+            # A put to a pattern is meant for no robot.
+            if "*" not in str(sample.key_expr):
+                take(received_of(sample), arrived_ns)
+
+        handler = self._arrivals.to(arrived, COMMANDS_WAITING)
         self._declared.append(self._session.declare_subscriber(f"{self._domain}/{name}/*/*", handler))
         for type_name in type_names:
             self._endpoint(node, EntityKind.SUBSCRIPTION, name, type_name, wire.BEST_EFFORT)

@@ -123,7 +123,8 @@ def test_a_program_of_ros_drives_and_the_rules_hold() -> None:
             target[0] = 0.0
             wait_until(one.stands)
             assert one.call("park")[0]
-            assert one.call("disengage")[0]
+            assert one.call("disengage") == (True, "cruiser-1 stands by")
+            assert one.call("disengage") == (True, "cruiser-1 was not engaged from here")
             # A second publisher: the robot is stopped, and cannot be engaged until one is left.
             wait_until(lambda: one.call("engage")[0])
             assert one.call("unpark")[0]
@@ -257,7 +258,7 @@ def test_a_graph_that_is_lost_lets_the_robot_go() -> None:
             assert graph.call(f"{NAME}/disengage")[0]
 
 
-@pytest.mark.parametrize("case", ["silent", "gateway", "namespace"])
+@pytest.mark.parametrize("case", ["silent", "gateway", "namespace", "pattern"])
 def test_what_cannot_begin_ends_in_one_line(case: str) -> None:
     """No router; a gateway that has its port; odd names."""
     with ExitStack() as stack:
@@ -266,6 +267,7 @@ def test_what_cannot_begin_ends_in_one_line(case: str) -> None:
             "silent": (["--ros", endpoint], 4, "no ROS 2 router answers at"),
             "gateway": (["--ros", endpoint], 4, "is no router: a gateway has the port of rmw_zenohd"),
             "namespace": (["cruiser-1", "--namespace", "a b"], 2, "is no ROS namespace"),
+            "pattern": (["--drive"], 2, "name the robots that --drive may drive"),
         }[case]
         if case == "gateway":
             _, bus = stack.enter_context(chassis())
