@@ -74,9 +74,8 @@ class CommandReader:
         self, command: Received, arrived_ns: int, now_ns: int, wall_ns: int, angle_deg: float
     ) -> tuple[SetPoint | None, str]:
         attachment = read_attachment(command.attachment)
-        gid = attachment.gid if attachment is not None else b""
-        if self._engaged_gid not in {None, gid}:
-            self.foreign = gid.hex() or "without an attachment"
+        if attachment is not None and self._engaged_gid not in {None, attachment.gid}:
+            self.foreign = attachment.gid.hex()
             return None, "dropped: it comes from a second publisher"
         if now_ns - arrived_ns > AGE_MAX_NS:
             return None, f"dropped: it waited {(now_ns - arrived_ns) / 1e9:.1f} s"
@@ -94,7 +93,7 @@ class CommandReader:
             return None, wrong
         set_point, note = _set_point(type_name, message, angle_deg)
         if set_point is not None:
-            self._gid, self._sequence = gid, attachment.sequence
+            self._gid, self._sequence = attachment.gid, attachment.sequence
         return set_point, note
 
     def _repeat_or_late(self, attachment: Attachment, arrived_ns: int) -> str:
