@@ -161,7 +161,7 @@ class CommandReader:
         self._engaged_gid, self.foreign = None, ""
 
     def admit(self, set_point: SetPoint, angle_deg: float) -> SetPoint | None:
-        """What of a set point may be passed on: while the robot is being engaged, that it stands as it is."""
+        """The set point as it may pass; while the robot is being engaged, zero speed with the wheels kept."""
         if self._engaged_gid is None or not (self._is_confirmed or not set_point.speed_mps):
             return None
         return set_point if self._is_confirmed else SetPoint(0.0, angle_deg=angle_deg)
