@@ -19,7 +19,7 @@ from tests.support.rigs.recorded import RecordedRig
 from tests.support.waiting import wait_until
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
-TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "subscribe.py"}
+TESTED = {"commands_client.py", "dataset.ipynb", "drive.py", "ros2_idle.py", "subscribe.py"}
 # Settings of a program for a robot at another endpoint.
 ELSEWHERE = """\
 from schemas.settings import Settings, ZenohSettings
@@ -108,3 +108,53 @@ def test_the_notebook_says_how_far_the_robot_went(tmp_path: Path) -> None:
     assert (said := re.search(r"events (\d+) metres ([\d.]+)", done.stdout))
     assert int(said[1]) > 2
     assert 3.0 < float(said[2]) < 6.0
+
+
+RCLPY = '''
+"""As much of rclpy as ros2_idle.py uses: the clock is counted, and what is published is printed."""
+import sys, types
+
+class Time:
+    def __init__(self, ns): self.nanoseconds = ns
+    def __sub__(self, other): return Time(self.nanoseconds - other.nanoseconds)
+    def to_msg(self): return self.nanoseconds // 1_000_000
+
+class Twist:
+    def __init__(self): self.header = types.SimpleNamespace(stamp=0); self.speed = 0.0
+
+class Node:
+    def __init__(self, name): self.ms = 0
+    def get_clock(self): return types.SimpleNamespace(now=lambda: Time(self.ms * 1_000_000))
+    def create_publisher(self, kind, topic, depth):
+        assert topic == "cmd_vel"
+        return types.SimpleNamespace(publish=lambda one: print(one.header.stamp, one.speed))
+    def create_subscription(self, kind, topic, take, depth): self.take = take
+    def create_timer(self, period_s, fill): self.period_ms, self.fill = round(1000 * period_s), fill
+
+def spin(node):
+    """Commands at 0.5 m/s from 1 s to 2 s, at 20 Hz."""
+    for node.ms in range(node.period_ms, 3001, node.period_ms):
+        if 1000 <= node.ms <= 2000:
+            command = Twist()
+            command.header.stamp, command.speed = node.ms, 0.5
+            node.take(command)
+        node.fill()
+
+def add(name, **fields): sys.modules[name] = module = types.ModuleType(name); vars(module).update(fields)
+add("rclpy", init=lambda: None, spin=spin)
+add("rclpy.node", Node=Node)
+add("rclpy.executors", ExternalShutdownException=type("ExternalShutdownException", (Exception,), {}))
+add("geometry_msgs")
+add("geometry_msgs.msg", TwistStamped=Twist)
+'''
+
+
+def test_the_node_for_a_planner_passes_each_command_on_once_and_fills_silence_with_zero(tmp_path: Path) -> None:
+    """In a stand-in for ROS: a real one has not been met."""
+    script = tmp_path / "idle.py"
+    script.write_text(RCLPY + (EXAMPLES / "ros2_idle.py").read_text())
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=True)
+    said = [(int(ms), float(speed)) for ms, speed in map(str.split, done.stdout.splitlines())]
+    assert [ms for ms, speed in said if speed] == list(range(1000, 2001, 50))
+    zeros = [ms for ms, speed in said if not speed]
+    assert zeros == [ms for ms in range(250, 3001, 50) if not 1000 <= ms <= 2200]
