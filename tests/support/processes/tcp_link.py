@@ -92,6 +92,9 @@ class TcpLink:
             await asyncio.gather(self._up(reader, back), self._down(there, writer))
         for one in (back, writer):
             one.close()
+            if self._ended.is_set():
+                # The loop ends: it would not wait until what is unsent has gone, and leave the socket open.
+                one.transport.abort()
 
     async def _up(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while data := await reader.read(CHUNK_BYTES):
