@@ -230,7 +230,8 @@ class RobotBridge:
     def _reset(self) -> str:
         if self._reader.moves(clock_ns()):
             raise ValueError("drive commands that are not zero arrive: end them, then reset")
-        latched = self._state.latched if self._state is not None else []
+        # By the state whose challenge the reset echoes: what is latched later is not cleared.
+        latched = self._connected().state().state.latched
         if others := [reason.value for reason in latched if reason is not Reason.REMOTE_STOP]:
             raise ValueError(f"{', '.join(others)} is latched: 'cruiser reset {self.name}' clears it")
         if self._lease is not None:
