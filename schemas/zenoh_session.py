@@ -186,6 +186,18 @@ def next_ports(listen: list[str]) -> list[str]:
     return [with_port(one, port + 1 if port else 0) for one, port in ports]
 
 
+def with_command_ports(connect: Sequence[str]) -> list[str]:
+    """Return endpoints of gateways, and after them those at which they listen for commands: the next ports.
+
+    Zenoh connects to a node that another one names, but never again once that link alone broke (measured with
+    1.10.2). It reconnects to an endpoint of the configuration.
+    """
+    parts = [(one, _ENDPOINT.fullmatch(one)) for one in connect]
+    ports = [(one, int(found["port"]) + 1) for one, found in parts if found is not None]
+    beside = [with_port(one, port) for one, port in ports if port <= _HIGHEST_PORT]
+    return list(dict.fromkeys([*connect, *beside]))
+
+
 def own_endpoint(listen: str) -> str:
     """The endpoint by which another session of this process connects to an endpoint that is listened on.
 
@@ -247,15 +259,23 @@ def open_session(
 
 
 def join(
-    settings: ZenohSettings, listen: Sequence[str] = (), *, own: Mapping[str, Json] | None = None
+    settings: ZenohSettings,
+    listen: Sequence[str] = (),
+    *,
+    own: Mapping[str, Json] | None = None,
+    commands: bool = False,
 ) -> zenoh.Session:
     """Open a session that connects to the endpoints in the settings, or else to this machine's gateway.
 
     A Zenoh router forwards nothing between peers (measured with 1.10.2): a session that listens on nothing and
     finds a router becomes its client, unless the settings give a mode.
+
+    Args:
+        commands: it sends commands, so it also connects to the endpoints at which gateways listen for them.
     """
     endpoints, choice = client_endpoints(settings), said_of(settings)
-    session = open_session(settings, endpoints, listen, own=own)
+    all_endpoints = with_command_ports(endpoints) if commands and choice.mode != "client" else endpoints
+    session = open_session(settings, all_endpoints, listen, own=own)
     is_set = choice.mode != "peer" or choice.is_mode_given
     if listen or is_set or not finds_router(session.info, time.sleep):
         return session

@@ -41,9 +41,9 @@ class Prover(Protocol):
 Owner = TypeVar("Owner", bound=SessionOwner)
 
 
-def _opened(settings: Settings, make: Callable[[zenoh.Session], Owner]) -> Owner:
+def _opened(settings: Settings, make: Callable[[zenoh.Session], Owner], *, commands: bool = False) -> Owner:
     """Open a session by the settings, and make its owner."""
-    session = join(settings.zenoh)
+    session = join(settings.zenoh, commands=commands)
     try:
         return make(session)
     except ValueError as error:
@@ -74,7 +74,7 @@ class CommandPort(SessionOwner):
 
     @classmethod
     def open(cls, settings: Settings, robot: str, operator: str) -> Self:
-        return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator))
+        return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator), commands=True)
 
     def reaches(self) -> bool:
         """Return True if a node answers this robot's commands. Unknown for a port to all robots."""

@@ -22,6 +22,7 @@ from schemas.zenoh_session import (
     own_endpoint,
     said,
     said_of,
+    with_command_ports,
 )
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -74,6 +75,18 @@ def test_what_is_said_of_a_session(
 )
 def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own: str) -> None:
     assert (next_ports([listen]), own_endpoint(listen)) == ([beside], own)
+
+
+@pytest.mark.parametrize(
+    ("connect", "to"),
+    [
+        (["tcp/a:7447", "tls/b:9"], ["tcp/a:7447", "tls/b:9", "tcp/a:7448", "tls/b:10"]),
+        (["tcp/a:7447", "tcp/a:7448"], ["tcp/a:7447", "tcp/a:7448", "tcp/a:7449"]),
+        (["tcp/a:65535", "unixsock-stream//run/s", "nonsense"],) * 2,
+    ],
+)
+def test_commands_also_connect_to_the_next_port(connect: list[str], to: list[str]) -> None:
+    assert with_command_ports(connect) == to
 
 
 @pytest.mark.parametrize(

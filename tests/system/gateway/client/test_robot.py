@@ -1,5 +1,9 @@
+import os
+import socket
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -11,10 +15,12 @@ from schemas.decisions import ArbiterState
 from schemas.messages import Mode
 from schemas.reasons import TEXTS, Reason, cure_of
 from schemas.requests import Light, Role
+from schemas.zenoh_session import split_endpoint
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
 from tests.support.fakes.robot import FakeRobot, settings_for
 from tests.support.messages import STATE
+from tests.support.processes.gateway import chassis, gateway
 from tests.support.waiting import nothing, wait_until
 
 
@@ -278,6 +284,45 @@ def test_a_link_that_stalls_ends_in_a_stop_not_in_a_resumption() -> None:
         with pytest.raises(Stopped) as caught:
             lease.drive(1.0)
         assert caught.value.reason is Reason.DEADMAN
+
+
+def test_commands_arrive_again_after_their_link_alone_broke() -> None:
+    """Zenoh does not reconnect to a node of which it learned from another one."""
+    endpoint = free_endpoint()
+    settings = settings_for(endpoint)
+    with (
+        chassis() as (_, address),
+        gateway(address, endpoint),
+        Robot.connect("cruiser-1", "first", settings, timeout_s=20) as robot,
+    ):
+        ready = {Reason.NO_LEASE, Reason.NOT_ENGAGED}
+        assert robot.wait_for(lambda state: set(state.blocked_by) <= ready, 60)
+        assert break_connections(split_endpoint(endpoint)[2] + 1)
+        wait_until(lambda: acquires(robot))
+        robot.stop(20)
+        assert Reason.REMOTE_STOP in robot.state().state.latched
+
+
+def break_connections(port: int) -> int:
+    """Shut this process's TCP connections to a port down. Returns how many there were."""
+    lines = (line.split() for line in Path("/proc/self/net/tcp").read_text("ascii").splitlines()[1:])
+    inodes = {words[9] for words in lines if words[2].endswith(f":{port:04X}")}
+    broken = 0
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):
+            if descriptor.readlink().name.removeprefix("socket:").strip("[]") in inodes:
+                with socket.socket(fileno=os.dup(int(descriptor.name))) as connection:
+                    connection.shutdown(socket.SHUT_RDWR)
+                broken += 1
+    return broken
+
+
+def acquires(robot: Robot) -> bool:
+    try:
+        with robot.lease():
+            return True
+    except Unreachable:
+        return False
 
 
 def test_the_stream_has_the_rate_of_the_contract() -> None:
