@@ -128,8 +128,8 @@ def configuration(answers: Answers, before: Mapping[str, Mapping[str, object]]) 
 
 
 def system_files(answers: Answers) -> dict[str, str]:
-    """Return files besides the settings, by path: the bus, and each service's Zenoh file."""
-    files = {f"{UNITS}/cruiser-gateway.service.d/bus.conf": _bus(answers)}
+    """Return files besides the settings, by path: the bus, and the recorder's Zenoh file."""
+    files: dict[str, str] = {}
     if answers.is_signed and "recorder" in answers.keys:
         files[f"{UNITS}/cruiser-recorder.service.d/zenoh.conf"] = (
             "# The settings file names the gateway's.\n"
@@ -150,23 +150,6 @@ def system_files(answers: Answers) -> dict[str, str]:
             f"[Match]\nName={channel}\n\n[Link]\nRequiredForOnline=no\n\n{can}RestartSec={RESTART_MS}ms\n"
         ),
     }
-
-
-def _bus(answers: Answers) -> str:
-    if not answers.is_kernels:
-        return "# The bus is no interface of the kernel's.\n[Install]\nWantedBy=multi-user.target\n"
-    device = f"sys-subsystem-net-devices-{escaped(answers.channel)}.device"
-    return (
-        f"# The CAN interface of the gateway, as in can.channel of {CONFIGURATION}.\n"
-        f"[Unit]\nBindsTo={device}\nAfter={device}\n\n[Install]\nWantedBy={device}\n"
-    )
-
-
-def escaped(name: str) -> str:
-    """Escape a name for a systemd unit, as systemd-escape does."""
-    return "".join(
-        one if one.isascii() and (one.isalnum() or one in ":_.") else f"\\x{ord(one):02x}" for one in name
-    )
 
 
 def _zenoh_file(service: str) -> str:

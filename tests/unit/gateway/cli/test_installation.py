@@ -14,7 +14,6 @@ from gateway.cli.setup import (
     SERVICES,
     Answers,
     configuration,
-    escaped,
     start_services,
     system_files,
 )
@@ -85,20 +84,13 @@ def parts(text: str) -> dict[str, dict[str, str]]:
 
 def test_what_is_written_for_can0_is_what_the_package_brings() -> None:
     usual = Answers("cruiser-1", "", "socketcan", "can0", 500_000, keys=frozenset(SERVICES))
-    written = {name: text for name, text in system_files(usual).items() if "can0" in name or "bus.conf" in name}
-    assert len(written) == 3
+    written = {name: text for name, text in system_files(usual).items() if "can0" in name}
+    assert len(written) == 2
     for name, text in written.items():
         assert parts(text) == parts((DEPLOY / name[1:]).read_text("utf-8")), name
     for name, role in SERVICES.items():
         assert (DEPLOY / f"cruiser-{name}.service").exists()
         assert TransportRole(role)
-
-
-def test_the_gateway_comes_and_goes_with_its_interface() -> None:
-    place = "/etc/systemd/system/cruiser-gateway.service.d/bus.conf"
-    assert "BindsTo=sys-subsystem-net-devices-can1.device" in system_files(ROBOT)[place]
-    assert "WantedBy=multi-user.target" in system_files(ELSEWHERE)[place]
-    assert escaped("can-rear 1") == r"can\x2drear\x201"
 
 
 @pytest.mark.parametrize(
