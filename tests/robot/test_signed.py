@@ -42,6 +42,12 @@ def install_beside(box: Box) -> None:
         box.run(f"systemctl enable --now cruiser-{service}")
 
 
+def try_beside(box: Box) -> None:
+    """Ask desk and exporter, then stop them: they leave the only processor no time to record a drive."""
+    scene.ask_fleet(box, "signed, started")
+    box.run("systemctl stop cruiser-desk cruiser-metrics")
+
+
 def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
     fresh_box: Box, outside: Outside, tmp_path: Path
 ) -> None:
@@ -84,9 +90,7 @@ def test_a_fresh_debian_is_set_up_and_driven_in_signed_mode(
     scene.say("signed", f"ready {time.monotonic() - begun_s:.1f} s after it was switched on: {ready}")
     # Who has no keys finds no door.
     box.run("! cruiser list --connect tcp/127.0.0.1:7447 --timeout 3 | grep cruiser-1")
-    scene.ask_fleet(box, "signed, started")
-    # A depot's services: with all five the only processor has nothing left for a drive, and the recorder comes last.
-    box.run("systemctl stop cruiser-desk cruiser-metrics")
+    try_beside(box)
     scene.begin_drive(box, outside)
     scene.say("signed", f"drives at {outside.speed_mps:.2f} m/s")
     last = outside.lives[-1]
