@@ -283,6 +283,13 @@ def _gateway_hangs(facts: Facts) -> Iterable[Detail]:
     return _found(hangs, facts.settings.robot.name)
 
 
+def _unguarded(facts: Facts) -> Iterable[Detail]:
+    safety = facts.zenoh.safety
+    if safety is None or Reason.BUS_DOWN in safety.blocked_by:  # Without a bus there is nothing to guard.
+        return ()
+    return _found(not safety.guarded, cure=TEXTS[Reason.UNGUARDED].cure)
+
+
 def _service_failed(facts: Facts) -> Iterable[Detail]:
     for unit in facts.units:
         if unit.state != "active":
@@ -550,9 +557,7 @@ CHECKS: Final = (
         "unguarded",
         "no guard process watches the gateway",
         "wait a second",
-        lambda facts: _found(
-            facts.zenoh.safety is not None and not facts.zenoh.safety.guarded, cure=TEXTS[Reason.UNGUARDED].cure
-        ),
+        _unguarded,
     ),
     Check(
         "latched",

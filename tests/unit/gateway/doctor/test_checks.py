@@ -106,14 +106,16 @@ def failing(*failures: str) -> FrameHealth:
     return replace(SILENT[0] if "silence" in failures else FEEDBACK[0], failures=[*failures])
 
 
+NO_BUS = replace(
+    WELL.zenoh,
+    health=replace(DEAD, bus_up=False),
+    safety=replace(STANDBY, guarded=False, blocked_by=[Reason.BUS_DOWN, Reason.UNGUARDED]),
+)
+
 CASES: dict[str, Facts] = {
     "other_bus": replace(WELL, bus_of_settings="socketcan can5, by robot.toml"),
-    "interface_missing": replace(
-        interface(is_present=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))
-    ),
-    "interface_down": replace(
-        interface(is_up=False), zenoh=replace(WELL.zenoh, health=replace(DEAD, bus_up=False))
-    ),
+    "interface_missing": replace(interface(is_present=False), zenoh=NO_BUS),
+    "interface_down": replace(interface(is_up=False), zenoh=NO_BUS),
     "bus_unreachable": zenoh(health=dead(bus_up=False, bus_detail="no server")),
     "bit_rate": zenoh(health=dead(faults={"error_frame": 9})),
     "bit_rate_differs": interface(bitrate=250_000),
