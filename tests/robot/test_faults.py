@@ -49,11 +49,15 @@ def test_a_gateway_that_dies_or_hangs(box: Box, outside: Outside, signal: str) -
 
 def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> None:
     scene.start(box)
-    # It waits for its orders: to start a process in mid-drive could end the drive.
-    box.run("mkfifo /run/orders && { ip -batch /run/orders >/dev/null 2>&1 & }")
+    # Both wait for the file: to start a process in mid-drive could end the drive.
+    box.run(
+        "mkfifo /run/orders /run/pause; exec 8<>/run/pause; ip -batch /run/orders >/dev/null 2>&1 & "
+        "{ until [ -e /run/box/cut ]; do read -r -t 0.1 -u 8 _; done; echo link delete can0 >/run/orders; } "
+        ">/dev/null 2>&1 &"
+    )
     scene.begin_drive(box, outside)
     last = outside.lives[-1]
-    box.run("echo link delete can0 >/run/orders")
+    (box.share / "cut").touch()
     gone_s = time.monotonic()
     time.sleep(3)
     assert outside.speed_mps >= scene.STEADY_MPS, "the chassis obeys its last command for ever"
@@ -80,7 +84,7 @@ def test_an_interface_that_goes_and_comes_back(box: Box, outside: Outside) -> No
     box.cut_power()
     scene.start(box)
     scene.check_log(box, last)
-    scene.check_doctor(box, "interface gone, power cut", scene.POWER_CUT)
+    scene.check_doctor(box, "interface gone, power cut", {**scene.POWER_CUT, "latched": "the guard has"})
     scene.check_stays(outside, stood_s + 1, 1)
 
 
