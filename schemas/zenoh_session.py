@@ -190,9 +190,9 @@ def with_command_ports(connect: Sequence[str]) -> list[str]:
     """Return endpoints of gateways, and after them those at which they listen for commands: the next ports.
 
     Zenoh connects to a node that another one names, but never again once that link alone broke (measured with
-    1.10.2). It reconnects to an endpoint of the configuration.
+    1.10.2). It reconnects to an endpoint of the configuration. An endpoint that has to answer gets none beside it.
     """
-    parts = [(one, _ENDPOINT.fullmatch(one)) for one in connect]
+    parts = [(one, _ENDPOINT.fullmatch(one)) for one in connect if "exit_on_failure" not in one]
     ports = [(one, int(found["port"]) + 1) for one, found in parts if found is not None]
     beside = [with_port(one, port) for one, port in ports if port <= _HIGHEST_PORT]
     return list(dict.fromkeys([*connect, *beside]))
@@ -271,17 +271,26 @@ def join(
     finds a router becomes its client, unless the settings give a mode.
 
     Args:
-        commands: it sends commands, so it also connects to the endpoints at which gateways listen for them.
+        commands: it sends commands for a long time: where it finds no router, it is opened again to connect to the
+            endpoints at which gateways listen for them too.
     """
     endpoints, choice = client_endpoints(settings), said_of(settings)
-    all_endpoints = with_command_ports(endpoints) if commands and choice.mode != "client" else endpoints
-    session = open_session(settings, all_endpoints, listen, own=own)
-    is_set = choice.mode != "peer" or choice.is_mode_given
-    if listen or is_set or not finds_router(session.info, time.sleep):
+    session = open_session(settings, endpoints, listen, own=own)
+    may_change = choice.mode == "peer" and not choice.is_mode_given and not listen
+    if choice.mode == "client" or not (may_change or commands):
+        return session
+    is_at_router = finds_router(session.info, time.sleep)
+    if is_at_router and may_change:
+        close_session(session)
+        client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
+        return open_session(client, endpoints, [], own=own)
+    if is_at_router or not commands:
         return session
     close_session(session)
-    client = msgspec.structs.replace(settings, mode="client", given=settings.given | {"mode"})
-    return open_session(client, endpoints, [], own=own)
+    try:
+        return open_session(settings, with_command_ports(endpoints), listen, own=own)
+    except CommandError:  # The Zenoh file wants every endpoint to answer.
+        return open_session(settings, endpoints, listen, own=own)
 
 
 def open_configured(config: zenoh.Config, file: str = "") -> zenoh.Session:

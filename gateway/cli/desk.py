@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, settings: Settings, stopped: Callable[[],
             asyncio.run(serve(make_logs_app(logs, hosts), listening, ends, certificate))
             return int(ExitCode.OK)
         listener = stack.enter_context(DeskListener.open(settings))
-        commands = stack.enter_context(CommandPort.open(settings, keys.ALL, "desk"))
+        commands = stack.enter_context(CommandPort.open(settings, keys.ALL, "desk", lasts=True))
         _tell(f"{address}, robots at {place(settings.zenoh)}")
         hub = Hub(settings, listener, commands, has_logs=logs is not None)
         app = make_app(hub, hosts, logs)

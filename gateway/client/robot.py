@@ -110,7 +110,7 @@ class Robot:
         settings = settings or Settings()
         proof = operator_proof(settings)
         operator = operator or (proof.name if proof is not None else "") or login_operator()
-        commands = CommandPort.open(settings, name, operator)
+        commands = CommandPort.open(settings, name, operator, lasts=True)
         try:
             listener = SafetyListener.open(settings, name)
         except CommandError:

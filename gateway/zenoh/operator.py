@@ -73,8 +73,11 @@ class CommandPort(SessionOwner):
         self._querier: Any = session.declare_querier(self._keys["acquire"])
 
     @classmethod
-    def open(cls, settings: Settings, robot: str, operator: str) -> Self:
-        return _opened(settings, lambda session: cls(session, settings.robot.root, robot, operator), commands=True)
+    def open(cls, settings: Settings, robot: str, operator: str, *, lasts: bool = False) -> Self:
+        """Open a port; ``lasts`` takes longer, and reconnects if the link to a gateway's commands alone broke."""
+        return _opened(
+            settings, lambda session: cls(session, settings.robot.root, robot, operator), commands=lasts
+        )
 
     def reaches(self) -> bool:
         """Return True if a node answers this robot's commands. Unknown for a port to all robots."""

@@ -82,7 +82,7 @@ def test_a_second_session_stands_beside_the_first(listen: str, beside: str, own:
     [
         (["tcp/a:7447", "tls/b:9"], ["tcp/a:7447", "tls/b:9", "tcp/a:7448", "tls/b:10"]),
         (["tcp/a:7447", "tcp/a:7448"], ["tcp/a:7447", "tcp/a:7448", "tcp/a:7449"]),
-        (["tcp/a:65535", "unixsock-stream//run/s", "nonsense"],) * 2,
+        (["tcp/a:65535", "unixsock-stream//run/s", "nonsense", "tcp/a:1#exit_on_failure=true"],) * 2,
     ],
 )
 def test_commands_also_connect_to_the_next_port(connect: list[str], to: list[str]) -> None:

@@ -1,3 +1,4 @@
+import socket
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -8,13 +9,13 @@ import zenoh
 
 from gateway.telemetry.samples import Arrival, Missed, Received, TokenChange
 from gateway.zenoh import client as zenoh_client
-from gateway.zenoh.client import PendingQuery, RobotListener, call_roll, receive
+from gateway.zenoh.client import PendingQuery, RobotListener, call_roll, open_local_router, receive
 from gateway.zenoh.operator import CommandPort
 from schemas import codec, keys
 from schemas.command_line import CommandError, ExitCode
 from schemas.settings import RobotSettings, Settings, ZenohSettings
 from schemas.subjects import BY_NAME
-from schemas.zenoh_session import client_endpoints, close_session, open_session
+from schemas.zenoh_session import client_endpoints, close_session, open_session, split_endpoint
 from tests.support.fakes.fleet import FakeFleet
 from tests.support.fakes.gateway import FakeGateway
 from tests.support.fakes.peer import free_endpoint
@@ -169,3 +170,16 @@ def count_replies(question: PendingQuery) -> int:
     found: list[Received] = []
     wait_until(lambda: question.is_over, lambda: found.extend(question.poll()))
     return len(found)
+
+
+def test_beside_a_router_no_commands_are_sought() -> None:
+    """A port that swallows connections would hold the session up, and with it the first stop."""
+    endpoint = free_endpoint()
+    router = open_local_router(endpoint)
+    with socket.create_server(("127.0.0.1", split_endpoint(endpoint)[2] + 1)) as beside:
+        beside.settimeout(0)
+        with CommandPort.open(settings_for(endpoint), "cruiser-1", "first", lasts=True) as port:
+            assert port.connected()
+            with pytest.raises(BlockingIOError):
+                beside.accept()
+    close_session(router)
