@@ -23,7 +23,9 @@ trap 'trap - EXIT; end || true' EXIT
 trap 'exit 3' INT TERM HUP
 
 run() { # WORDS...
-    printf '  $ cruiser %s\n' "$*"
+    printf '  $ cruiser'
+    printf ' %q' "$@"
+    echo
     cruiser "$@"
 }
 
@@ -132,7 +134,11 @@ must_end_with 0 provision revoke --public-key "$key" --directory authority -o re
 begin drive drive cruiser-1 --config ann/operator.toml --speed 2 --seconds 600 --deadman 1
 wait_until shows "^cruiser-1 +driving .* driver ann"
 must_end_with 0 provision show revocations.statement --all --directory vic
-if wait "${pid[drive]}" || ! grep grant_revoked drive.log; then exit 1; fi
+if wait "${pid[drive]}" || ! grep grant_revoked drive.log; then
+    echo "NOT AS IT SHOULD BE: the drive was not ended by the revocation:"
+    cat drive.log
+    exit 1
+fi
 must_end_with 5 drive cruiser-1 --config ann/operator.toml --speed 0.3 --seconds 1
 
 echo "who commanded, by the log and the signatures in it"

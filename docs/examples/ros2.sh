@@ -4,7 +4,8 @@
 # both `ros2` and `cruiser` are found; it ends what it started. What you should see stands before each command.
 set -eu
 export RMW_IMPLEMENTATION=rmw_zenoh_cpp
-ROS_PORT=7448 ROBOT_PORT=7449
+ROS_PORT=7460 ROBOT_PORT=7462 CAN=127.0.0.1:29546
+command -v ros2 >/dev/null && command -v cruiser >/dev/null || { echo "needs ros2 and cruiser" >&2; exit 1; }
 export ZENOH_CONFIG_OVERRIDE="connect/endpoints=[\"tcp/127.0.0.1:$ROS_PORT\"]"
 started=""
 trap 'kill $started 2>/dev/null || true' EXIT
@@ -13,15 +14,18 @@ run() { echo "\$ $*"; "$@" || echo "  -> exit code $?"; }
 
 ZENOH_CONFIG_OVERRIDE="listen/endpoints=[\"tcp/127.0.0.1:$ROS_PORT\"]" ros2 run rmw_zenoh_cpp rmw_zenohd &
 started="$started $!"
-cruiser sim --listen 127.0.0.1:29536 &
+cruiser sim --listen "$CAN" &
 started="$started $!"
 sleep 2
-cruiser gateway --interface socketcand --channel 127.0.0.1:29536 --listen "tcp/127.0.0.1:$ROBOT_PORT" &
+cruiser gateway --interface socketcand --channel "$CAN" --listen "tcp/127.0.0.1:$ROBOT_PORT" &
 started="$started $!"
 sleep 2
 cruiser ros cruiser-1 --drive --connect "tcp/127.0.0.1:$ROBOT_PORT" --ros "tcp/127.0.0.1:$ROS_PORT" &
 started="$started $!"
 sleep 3
+for process in $started; do
+    kill -0 "$process" || { echo "a process has not started: see above" >&2; exit 1; }
+done
 
 echo "== a node /cruiser_1/cruiser_gateway"
 run ros2 node list

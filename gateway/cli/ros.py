@@ -22,7 +22,7 @@ EXAMPLE: Final = """\
   cruiser ros                                      all robots, read only
   cruiser ros cruiser-1 --namespace /              one robot, topics without a namespace
   cruiser ros cruiser-1 --drive --speed-limit 0.5  take commands too
-  cruiser ros --ros tcp/127.0.0.1:7448             rmw_zenohd is on another port"""
+  cruiser ros --ros tcp/127.0.0.1:7449             rmw_zenohd is on another port"""
 
 PUBLISHED: Final = """\
 Publishes odom, tf, joint_states, diagnostics and remote_stop of each robot below its namespace, by

@@ -24,7 +24,8 @@ def summed(lines: Iterable[str]) -> str:
 
 
 def main() -> int:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # It is the command's, which says so.
+    # Ctrl-C is the command's, which says so. A handler, since the command would inherit that it is ignored.
+    signal.signal(signal.SIGINT, lambda *_: None)
     command = subprocess.Popen(
         sys.argv[1:], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
     )
