@@ -18,7 +18,7 @@ from tests.bench.command_latency import DRIVE_ID, Road, Witness, on_the_road
 from tests.bench.loads import Row
 from tests.bench.processes import quantile
 from tests.support.desk_client import DeskClient
-from tests.support.processes.desk import chromium, hold_pad, is_driven, take_control, wait_ready
+from tests.support.processes.desk import become_ready, chromium, hold_pad, is_driven, take_control, wait_ready
 from tests.support.processes.gateway import Running
 from tests.support.processes.robots import name_of, robots
 from tests.support.processes.usage import cpu_s, rss_bytes
@@ -120,7 +120,7 @@ def _page(browser: Browser, address: str) -> Page:
     page = browser.new_page(locale="en-GB")
     page.add_init_script(CLOCK)
     page.goto(f"{address}#/robot/cruiser-1")
-    wait_ready(page)
+    become_ready(page)
     take_control(page)
     return page
 

@@ -121,15 +121,20 @@ def chromium() -> Iterator[Browser]:
 
 
 def open_robot(context: BrowserContext | Browser, scene: DeskScene, address: str = "") -> Page:
-    """The robot's page, once it can be driven; resets a stop that a busy machine has caused."""
+    """The robot's page, once it can be driven."""
     page = context.new_page()
     page.goto(f"{address or scene.address}#/robot/cruiser-1")
+    become_ready(page)
+    return page
+
+
+def become_ready(page: Page) -> None:
+    """Wait until the robot can be driven; reset a stop that a busy machine has caused."""
     band = page.locator(".band")
     wait_until(lambda: is_ready(page) or band.get_by_role("button", name="Reset").is_visible())
     if not is_ready(page):
         print(band.inner_text(), page.locator(".events").first.inner_text())  # noqa: T201 - whoever reads the figures wants it
         reset(page)
-    return page
 
 
 def is_ready(page: Page) -> bool:
